@@ -41,12 +41,12 @@ reads others:
 """
 
 STATUS = "\n".join(
-    ["the status of a fit: trust the camera if it is converged; else the status says why not"]
+    ["status of a fit: trust the camera if it is `converged`; otherwise the status says why not"]
     + [f"  {status:16}{meaning}" for status, meaning in STATUSES.items()]
 )
 
 CONVERT = """\
-Turn the cameras of IN into another program's file. Formats, and the endings that ask for them:
+Write the cameras of IN as another program's file. Formats, and the endings that select them:
   json            the one below                    .json
   opencv          cv::FileStorage YAML (or XML)    .yaml .yml .xml
   colmap          a folder of text files           a folder (colmap-binary: of .bin files)
@@ -62,12 +62,12 @@ Turn the cameras of IN into another program's file. Formats, and the endings tha
 DATASETS = """\
 a data set is one of
   BOP      a split's folder, or one scene's: scene_camera.json, scene_gt.json, mask_visib
-  a table  .csv or .jsonl: a record a row, with the columns id, mesh, mask, and of K (four
-           numbers, nine, or a file), dist, fov, camera, start, crop, free, ... all that you know;
-           paths are relative to the table
+  a table  .csv or .jsonl: a record a row, with the columns id, mesh, mask, and what you know of K
+           (four numbers, nine, or a file), dist, fov, camera, start, crop, free, ...; paths are
+           relative to the table
   a folder with one mesh, masks (or a folder `masks`), and camera.json, --K or --fov
 RESULTS holds rows as JSON lines: status, camera, K, R, t, covariance, seconds, and the reason if a
-record failed. Processes on several machines may share it, each with a --shard of its own.
+record failed. Processes on several machines may share it, each with its own --shard.
 """
 
 
@@ -114,10 +114,10 @@ TRUST = "Exit status: 0 converged, 1 do not trust it (the status says why), 2 ba
 VERBS = {
     "fit": Verb(
         "recover the camera from a mesh and a mask",
-        "Recover the camera that sees MESH as MASK: from a start some 20 degrees off, or\n"
-        "without one from the field of view (or, with phi among --free, from nothing).\n"
+        "Recover the camera that sees MESH as MASK: from a start up to 20 degrees off, or\n"
+        "without one by a search of all views (give the field of view, or --free phi, too).\n"
         "Writes camera.json and overlay.png, prints parameters with their standard errors.\n"
-        f"Photos that were taken sideways are turned upright by their EXIF data.\n{TRUST}",
+        f"Photos taken sideways are turned upright by their EXIF data.\n{TRUST}",
         "mesh mask --camera|--K|--fov --dist --pixel-centres --crop --resize --free --mask-from"
         " --invert --tidy|--no-tidy --weight --image --refine --report --verbose -o/--output"
         " --no-cache",
@@ -166,17 +166,17 @@ VERBS = {
         f"{DATASETS}\n{MASKS}",
     ),
     "studio": Verb(
-        "get the camera of a photo by hand and eye: a page in the browser",
+        "find the camera of a photo by hand, in the browser",
         "Open a page in the browser: turn the mesh over the photo, paint a mask, fit, and export\n"
-        "the camera in every format. Only this machine can open it, by the address that is\n"
-        "printed. Needs aiohttp: pip install 'pinhole-jax[studio]'.",
+        "the camera in every format. Only this machine can open it, at the printed\n"
+        "address. Needs aiohttp: pip install 'pinhole-jax[studio]'.",
         "mesh photo --session --camera|--K|--fov --dist --pixel-centres --up --mask --mask-from"
         " --port --no-browser --verbose -o/--output --no-cache",
         "part.stl photo.jpg --fov 34",
         f"{MASKS}\n{FILES}",
     ),
     "convert": Verb(
-        "turn a camera file into another program's",
+        "convert a camera file to another program's format",
         CONVERT,
         "input output --from --to --size",
         "camera.json transforms.json",
@@ -192,7 +192,7 @@ OPTIONS: dict[str, tuple[str, str] | tuple[str, str, dict[str, Any]]] = {
     "camera": ("CAMERA", "a camera file, as `fit --camera` reads"),
     "check camera": (
         "CAMERA",
-        "any file that `convert` reads; of one that `fit` wrote the errors count, too",
+        "any file that `convert` reads; if `fit` wrote it, its errors count, too",
     ),
     "robot": ("ROBOT", "a URDF file, its meshes beside it"),
     "joints": (
@@ -203,28 +203,28 @@ OPTIONS: dict[str, tuple[str, str] | tuple[str, str, dict[str, Any]]] = {
     "masks": ("MASK", "an image for each row of JOINTS", {"nargs": "+"}),
     "files": ("MASK", "as in `fit`; for a robot JOINTS, then a MASK for each row", {"nargs": "*"}),
     "dataset": ("DATASET", "see below", {"nargs": "?"}),
-    "photo": ("PHOTO", "a picture of it", {"nargs": "?"}),
+    "photo": ("PHOTO", "a photo of the object", {"nargs": "?"}),
     "input": ("IN", "a camera file; of COLMAP, the model's folder"),
     "output": ("OUT", "the file to write"),
     "--camera": (
         "START",
-        "start from here (else: search): a camera file, see below, or any that `convert` reads;"
-        " FILE:NAME is one of several",
+        "start here instead of searching: a camera file (see below), or any that `convert` reads;"
+        " FILE:NAME selects one of several",
     ),
     "--K": (
         "K",
-        "known intrinsics, to search with: FX FY CX CY in px (OpenCV's), or a file that has them:"
+        "known intrinsics for the search: FX FY CX CY in px (OpenCV's), or a file with them:"
         " OpenCV's or ROS's calibration, COLMAP's cameras.txt, JSON with K",
     ),
     "--fov": (
         "DEGREES",
-        "vertical field of view, to search with (default: from the EXIF data of PHOTO)",
+        "vertical field of view for the search (default: from PHOTO's EXIF data)",
         {"type": float},
     ),
-    "batch --fov": ("DEGREES", "where DATASET says nothing", {"type": float}),
+    "batch --fov": ("DEGREES", "unless DATASET says otherwise", {"type": float}),
     "studio --fov": (
         "DEGREES",
-        "vertical field of view (default: from the EXIF data of PHOTO, else 40)",
+        "vertical field of view (default: from PHOTO's EXIF data, else 40)",
         {"type": float},
     ),
     "--dist": ("K1,K2,...", "with --K: OpenCV's k1 k2 p1 p2, k3, k4 k5 k6"),
@@ -241,14 +241,14 @@ OPTIONS: dict[str, tuple[str, str] | tuple[str, str, dict[str, Any]]] = {
     ),
     "--resize": (
         "W H",
-        "MASK was resized from W x H px (with --crop: after it) to the size that it has",
+        "the size of MASK, px, before it was resized (with --crop: after cropping)",
         {"type": int},
     ),
     "--free": (
         "NAMES",
         f"what to fit, of {', '.join(FREE)}: pose is position and orientation, phi (or focal) and"
-        " d are the focal length in two ways, distortion is all coefficients of the lens; the rest"
-        " stays as it is at the start (default: %(default)s)",
+        " d both set the focal length, distortion is all coefficients of the lens; the rest keeps"
+        " its starting value (default: %(default)s)",
         {"type": _free, "default": "pose"},
     ),
     "--mask-from": ("HOW", "how to read masks, see below (default: from the picture itself)"),
@@ -262,7 +262,7 @@ OPTIONS: dict[str, tuple[str, str] | tuple[str, str, dict[str, Any]]] = {
     "--images": ("PHOTO", "draw the outlines on these (default: MASKs)", {"nargs": "+"}),
     "--refine": ("", "fit to the edges in the photos, too, where they are clear"),
     "--report": ("PAGE.html", "write a page with pictures, errors, all formats"),
-    "hand-eye --report": ("PAGE.html", "write one page about all of it"),
+    "hand-eye --report": ("PAGE.html", "write a page with all results"),
     "--in-hand": ("LINK", "the link that carries the camera"),
     "--leave-out": ("LINKS", "links that the masks do not show, with commas"),
     "--joint-zeros": (
@@ -273,7 +273,7 @@ OPTIONS: dict[str, tuple[str, str] | tuple[str, str, dict[str, Any]]] = {
     "--holdout": ("", "fit each half of the postures, too, and compare them"),
     "--propose": (
         "JOINTS",
-        "say how much one more mask in each of these postures would help (a file as JOINTS)",
+        "predict how much a mask in each of these postures would help (a file like JOINTS)",
     ),
     "--workers": ("K", "processes (default: one a core)", {"type": int}),
     "--shard": ("I/N", "fit the I-th of N parts of DATASET alone", {"default": "1/1"}),
@@ -289,7 +289,7 @@ OPTIONS: dict[str, tuple[str, str] | tuple[str, str, dict[str, Any]]] = {
     "--start": ("", "start from BOP's poses, else search"),
     "--models": ("FOLDER", "BOP's models (default: beside it)"),
     "--detections": ("COCO.json", "masks instead of BOP's own"),
-    "--session": ("FILE", "continue a session that the page saved"),
+    "--session": ("FILE", "continue a saved session"),
     "--up": ("", "MESH's upward axis (default: y)", {"choices": ("x", "y", "z"), "default": "y"}),
     "--mask": ("MASK", "begin with this mask"),
     "--port": ("N", "(default: any that is free)", {"type": int, "default": 0}),
@@ -298,7 +298,7 @@ OPTIONS: dict[str, tuple[str, str] | tuple[str, str, dict[str, Any]]] = {
     "--to": ("FORMAT", "(default: from OUT)", {"dest": "target"}),
     "--size": (
         "W H",
-        "the image's size in px, where IN does not hold it (glTF, some NeRF files)",
+        "image size in px, if IN has none (glTF, some NeRF files)",
         {"type": int},
     ),
     "--verbose": ("", "report each step on stderr"),
@@ -387,7 +387,7 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         self.print_usage(sys.stderr)
-        self.exit(2, f"{self.prog}: error: {message}\n`{self.prog} --help` explains it.\n")
+        self.exit(2, f"{self.prog}: error: {message}\nSee `{self.prog} --help`.\n")
 
 
 def _names(actions: Sequence[argparse.Action]) -> dict[str, str]:
