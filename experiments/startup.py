@@ -7,7 +7,8 @@
 - `first-use` (`--all`: the slow steps, too): builds the source distribution and from that the
   wheel, installs both into a fresh environment (`--borrow`: what they depend on is this one's, with
   nothing downloaded), and plays what newcomers do with files of their own: help, typos, masks as
-  data sets have them, a known K, a crop, an interrupt, a report, files of other programs.
+  data sets have them, a known K, a crop, an interrupt, a report, files of other programs. Each
+  step's time and words are in the table.
 - `hotspots`: where a fit's time goes by Python's profiler; `import pinhole_jax`, and the command
   `fit` on a mesh of 5k faces with an empty and a filled cache of compiled programs.
 """
@@ -179,9 +180,26 @@ open("ros.yaml", "w").write(
 json.dump({"intrinsics": [[129.3, 0, 47.5], [0, 129.3, 39.5], [0, 0, 1]]}, open("net.json", "w"))
 open("cameras.txt", "w").write("1 PINHOLE 96 80 129.3 129.3 48 40\\n")
 open("part.step", "w").write("ISO-10303-21;")
+open("arm.urdf", "w").write(
+    '<robot name="arm"><link name="base"/><link name="arm"><visual><geometry>'
+    '<box size="1 1 1"/></geometry></visual></link><joint name="turn" type="revolute">'
+    '<parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>'
+    '<limit lower="-3" upper="3" effort="1" velocity="1"/></joint></robot>'
+)
+open("joints.csv", "w").write("turn\\n69\\n")
 open("set.csv", "w").write(
     "id,mesh,mask,fov\\n" + "".join(f"frame {k},part.obj,mask.png,34.4\\n" for k in range(2))
 )
+"""
+
+#: A reader that has enough.
+PIPE = """
+import os, subprocess, sys
+reader, writer = os.pipe()
+os.close(reader)
+command = [sys.executable, "-m", "pinhole_jax", "fit", "--help"]
+done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE)
+assert not done.stderr, done.stderr
 """
 
 #: Wrong arguments of the library: refused at the door, with an error that names them.
@@ -217,6 +235,7 @@ import pinhole_jax as pj
 fit = pj.io.load_fit("out/camera.json")
 print(fit)
 assert fit.status == "converged"
+assert {row.unit for row in fit.parameters.rows} == {"deg", "world"}
 pose = pj.formats.object_pose(fit, pixel_centres="integer")
 assert np.all(np.isfinite(pose.std)) and pose.covariance.shape == (6, 6)
 told = json.load(open("out/camera.json"))["fit"]["object_in_camera"]
@@ -241,6 +260,31 @@ assert str(jax.grad(loss)(fit.camera)).startswith("Gradient")
 K, R, t = pj.formats.to_opencv(fit.camera, pixel_centres="integer")
 np.testing.assert_allclose(fit.camera.K, K, rtol=1e-5)
 np.testing.assert_allclose(fit.camera.R, R, atol=1e-5)
+pj.fit_camera(scene, mask, fit.camera, progress=True)
+"""
+
+#: What a batch and a report leave.
+PAGES = """
+import csv
+rows = [*csv.DictReader(open("table.csv"))]
+assert [row["status"] for row in rows] == ["converged"] * 2
+assert all(float(row["sigma_rotation_b1_rad"]) > 0 and row["tx"] for row in rows)
+page = open("page.html").read()
+assert "one-sigma band (yellow): one sigma is" in page
+"""
+
+#: A photo that says nothing of its field of view, on the studio's bench.
+BENCH = """
+from pathlib import Path
+import pinhole_jax as pj
+from pinhole_jax._studio.bench import Bench
+from pinhole_jax._studio.workpiece import workpiece_of
+bench = Bench(workpiece_of("part.obj", "mask.png"), Path("bench"))
+bench.take_mask(pj.io.load_mask("mask.png"))
+assert bench.hello()["free"] == ["pose", "phi"]
+fit = bench.act("fit", {"free": ["pose"], "search": True}, print)["fit"]
+assert fit["status"] != "converged", fit["status"]
+print(fit["notes"][0])
 """
 
 
@@ -257,8 +301,8 @@ class Step:
         """Run `pinhole-jax`; its exit status (None: 0 or 1) and what it says are to be these."""
         return self._run(title, ["-m", "pinhole_jax", *words], status, told)
 
-    def script(self, title: str, code: str) -> float:
-        return self._run(title, ["-c", code], 0, ())
+    def script(self, title: str, code: str, *told: str) -> float:
+        return self._run(title, ["-c", code], 0, told)
 
     def _run(
         self, title: str, words: Sequence[str], status: int | None, told: Sequence[str]
@@ -280,12 +324,14 @@ class Step:
             assert text in said, f"{title}: expected {text!r} in\n{said}"
         used = after.children_user + after.children_system
         used -= before.children_user + before.children_system
-        self.note(title, time.perf_counter() - begin, used)
+        lines = [line for line in said.splitlines() if (told or ("",))[0] in line and line]
+        self.note(title, time.perf_counter() - begin, used, lines[-1] if lines else "")
         return used
 
-    def note(self, title: str, seconds: float, used: float) -> None:
-        self.rows.append({"step": title, "seconds": round(seconds, 2), "CPU": round(used, 2)})
-        print(f"{seconds:7.2f} s, {used:6.2f} s CPU  {title}", flush=True)
+    def note(self, title: str, seconds: float, used: float, words: str = "") -> None:
+        times = {"seconds": round(seconds, 2), "CPU": round(used, 2)}
+        self.rows.append({"step": title, **times, "words": words.strip()})
+        print(f"{seconds:7.2f} s, {used:6.2f} s CPU  {title}: {words.strip()}", flush=True)
 
 
 def installed(folder: Path, borrow: bool) -> Path:
@@ -304,9 +350,11 @@ def installed(folder: Path, borrow: bool) -> Path:
         (packages / "borrowed.pth").write_text(sysconfig.get_path("purelib") + "\n")
         options = ["--no-deps"]
     pip = [str(python), "-m", "pip", "--disable-pip-version-check", "--quiet", "install", *options]
+    extras = "" if borrow else "[robots,studio]"
     held = []
     for pattern, more in (("*.tar.gz", ()), ("*.whl", ("--force-reinstall", "--no-deps"))):
-        subprocess.run([*pip, *more, *map(str, built.glob(pattern))], check=True, cwd=folder)
+        files = [f"{path}{extras}" for path in built.glob(pattern)]
+        subprocess.run([*pip, *more, *files], check=True, cwd=folder)
         (record,) = packages.glob("pinhole_jax-*/RECORD")
         held.append({line for line in record.open() if line.startswith("pinhole_jax/")})
     assert held[0] == held[1], f"the sdist and the wheel differ: {held[0] ^ held[1]}"
@@ -321,7 +369,13 @@ def at_the_door(step: Step) -> None:
     used = [
         step.command("help", ["fit", "--help"], 0, "usage: pinhole-jax fit"),
         step.command("the version", ["--version"], 0, "pinhole-jax "),
-        step.command("a typo", ["fit", "part.obj", "mask.png", "--fvo", "3"], 2, "--fvo 3"),
+        step.command(
+            "a typo",
+            ["fit", "part.obj", "mask.png", "--fvo", "3"],
+            2,
+            "--fvo 3 (did you mean --fov?)",
+            "usage: pinhole-jax fit",
+        ),
     ]
     assert max(used) < AT_ONCE, f"help took {max(used):.2f} s of the processor"
     fit = lambda *words: ["fit", "part.obj", *words]
@@ -353,23 +407,29 @@ def at_the_door(step: Step) -> None:
         2,
         "`--output`: expected",
     )
+    step.script("a pipe that nobody reads", PIPE)
     step.script("wrong arguments of the library", DOOR)
 
 
 def fits(step: Step) -> None:
     """What fits: the first one compiles, the others find its programs."""
-    told = "status     converged", "X_camera = R X_object + t", "pitch", "time"
+    told = "status     converged   (trust it", "X_camera = R X_object + t", "where +y is up", "time"
     fit = lambda mask, *words: ["fit", "part.obj", mask, "-o", "out", *words]
     start = "--camera", "start.json"
     step.command("the first fit: it compiles", fit("mask.png", *start), 0, *told)
     step.command(
-        "the second fit, a camera of OpenCV's", fit("mask.png", "--camera", "start.yaml"), 0
+        "the second fit, a camera of OpenCV's",
+        fit("mask.png", "--camera", "start.yaml"),
+        0,
+        "(replaced out/camera.json",
     )
     step.script("a fit's file, its pose and covariance", RESULT)
     network = fit("network.png", "--K", "ros.yaml")
     step.command("a network's mask, ROS's calibration", network, None, "3 islands", "2 holes")
     check = ["check", "out/camera.json", "part.obj", "mask.png"]
     step.command("it has not moved", check, 0, "not moved: less than 1 sigma")
+    moved = ["check", "start.json", "part.obj", "mask.png"]
+    step.command("it has moved", moved, 1, "moved: ", "turned by")
 
 
 def more(step: Step) -> None:
@@ -392,7 +452,11 @@ def more(step: Step) -> None:
         step.command(f"K in {name}", fit("mask.png", "--K", name), 0, "status     converged")
     batch = ["batch", "set.csv", "-o", "rows", "--track", "--merge", "table.csv"]
     step.command("frames, one after another", batch, 0, "2   converged", "table.csv")
-    step.script("residuals, matrices, a gradient in print", PARTS)
+    step.script("a table of every row, a page with a band", PAGES)
+    step.script("residuals, matrices, a gradient, progress", PARTS, "fitting: ")
+    step.script("a bench whose field of view is a guess", BENCH, "field of view assumed: 40")
+    arm = ["hand-eye", "arm.urdf", "joints.csv", "mask.png", "--camera", "start.json"]
+    step.command("angles in degrees", arm, 2, "degrees? Then give JSON")
     step.command("a lens: pose and k1", fit("mask.png", *start, "--free", "pose,k1"), 0)
 
 
