@@ -85,7 +85,9 @@ def do(bench: Bench, action: str, /, **numbers):
 @pytest.mark.parametrize("radius", [0.4, 3.0, 10.5])
 def test_stroke_covers_the_pixels_around_its_points(radius):
     points = ((12.0, 20.0), (50.0, 33.5))
-    drawn = strokes.drawn([Stroke("add", radius, points)], {"add": 7}, np.zeros((48, 60), np.uint8))
+    drawn = strokes.draw_strokes(
+        [Stroke("add", radius, points)], {"add": 7}, np.zeros((48, 60), np.uint8)
+    )
     centres = np.stack(np.mgrid[:60, :48], axis=-1).transpose(1, 0, 2) + 0.5
     line = np.linspace(*points, 1000)
     far = cdist(centres.reshape(-1, 2), line).min(axis=1).reshape(48, 60)
@@ -111,16 +113,16 @@ def test_strokes_on_the_object_tell_it_from_the_background(size, back):
     place = lambda *points: tuple((a * W, b * H) for a, b in points)
     guides = [Stroke("object", W / 60, place((0.35, 0.5), (0.55, 0.5)))]
     guides += [Stroke("background", W / 60, place((0.05, 0.1), (0.95, 0.1)))] * back
-    found = strokes.guessed(np.clip(photo, 0, 255).astype(np.uint8), guides)
+    found = strokes.guess_mask(np.clip(photo, 0, 255).astype(np.uint8), guides)
     assert found.dtype == np.uint8
     assert overlap(found, truth) > 0.985
 
 
 def test_guess_follows_the_strokes_alone_where_they_say_all():
     photo = np.zeros((20, 30, 3), np.uint8)
-    assert strokes.guessed(photo, []) is None
-    assert strokes.guessed(photo, [Stroke("background", 2.0, ((5, 5),))]) is None
-    assert np.all(strokes.guessed(photo, [Stroke("object", 50.0, ((15, 10),))]) == 255)
+    assert strokes.guess_mask(photo, []) is None
+    assert strokes.guess_mask(photo, [Stroke("background", 2.0, ((5, 5),))]) is None
+    assert np.all(strokes.guess_mask(photo, [Stroke("object", 50.0, ((15, 10),))]) == 255)
 
 
 def test_paint_goes_on_top_and_a_loaded_mask_replaces():
@@ -152,7 +154,7 @@ def test_camera_turn_looks_like_an_object_turn(lens):
     right, up, clockwise = 0.3, -0.2, 0.5
     b1, b2, v = axes_of(before)
     turn = Rotation.from_rotvec(right * b2 - up * b1 + clockwise * v)
-    after = hand.turned(before, CENTRE, right, up, clockwise)
+    after = hand.turn_object(before, CENTRE, right, up, clockwise)
     turned = CENTRE + turn.apply(POINTS - CENTRE)
     np.testing.assert_allclose(seen(after, POINTS), seen(before, turned), atol=1e-9)
 
@@ -161,16 +163,16 @@ def test_camera_turn_looks_like_an_object_turn(lens):
 def test_shift_is_in_pixels(aspect):
     lens = None if aspect == 1 else pj.Lens([32.0, 32.0], aspect)
     before = camera(lens)
-    after = hand.shifted(before, CENTRE, 5.0, 3.0)
+    after = hand.shift_object(before, CENTRE, 5.0, 3.0)
     np.testing.assert_allclose(seen(after, CENTRE) - seen(before, CENTRE), [5, -3], atol=1e-9)
 
 
 def test_nearer_is_nearer_and_no_nearer_than_there_is_room():
     extent = hand.Extent(CENTRE, 0.5)
     away = lambda c: np.asarray(c.e) - CENTRE
-    after = hand.nearer(camera(), extent, 0.5)
+    after = hand.scale_distance(camera(), extent, 0.5)
     np.testing.assert_allclose(away(after), 0.5 * away(camera()))
-    least = np.linalg.norm(away(hand.nearer(camera(), extent, 0.0)))
+    least = np.linalg.norm(away(hand.scale_distance(camera(), extent, 0.0)))
     assert least == pytest.approx(hand.NEAREST * 0.5)
 
 
@@ -187,7 +189,7 @@ def test_field_of_view_changes_keep_the_size():
 @pytest.mark.parametrize("size", [(64, 64), (120, 40), (40, 120)])
 def test_framed_object_is_inside_the_picture_and_upright(up, front, size):
     extent = hand.extent_of(POINTS)
-    framed = hand.framed(camera(size=size), extent, up)
+    framed = hand.frame_object(camera(size=size), extent, up)
     places = seen(framed, POINTS)
     assert np.all((places > 0) & (places < size))
     assert np.ptp(places, axis=0).max() > 0.2 * min(size)
@@ -412,7 +414,7 @@ def test_view_guides_the_guess(bench, mask, monkeypatch):
     bench.camera = camera(e=(1.1, 1.5, 5.0))
     told = do(bench, "view_guides")
     with monkeypatch.context() as patch:  # what was guessed is kept
-        patch.setattr("pinhole_jax._studio.bench.guessed", lambda photo, guides: None)
+        patch.setattr("pinhole_jax._studio.bench.guess_mask", lambda photo, guides: None)
         assert not do(bench, "undo")["png"]
         assert do(bench, "redo")["png"] == told["png"]
     assert {guide["kind"] for guide in told["guides"]} == {"object", "background"}

@@ -77,7 +77,7 @@ def _free(text: str) -> str:
     return ",".join("phi" if name == "focal" else name for name in names if name)
 
 
-def _joined(arguments: Sequence[str]) -> list[str]:
+def _join_values(arguments: Sequence[str]) -> list[str]:
     """Return the arguments with the values of --K, --dist and --free joined by commas.
 
     So a value may begin with a minus, and MESH may follow it.
@@ -353,10 +353,12 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, verb in VERBS.items():
         _add(commands, name, verb)
-    words = _joined(sys.argv[1:] if arguments is None else arguments)
+    words = _join_values(sys.argv[1:] if arguments is None else arguments)
     options, unknown = parser.parse_known_args(words)
     if unknown:
-        options.own.error(f"unrecognized arguments: {' '.join(unknown)}{_meant(options, unknown)}")
+        options.own.error(
+            f"unrecognized arguments: {' '.join(unknown)}{_suggestion(options, unknown)}"
+        )
     return options
 
 
@@ -397,7 +399,7 @@ def _names(actions: Sequence[argparse.Action]) -> dict[str, str]:
     return {**{name: shown[0] for name, shown in other.items() if shown}, **own}
 
 
-def _meant(options: argparse.Namespace, unknown: Sequence[str]) -> str:
+def _suggestion(options: argparse.Namespace, unknown: Sequence[str]) -> str:
     """Return a question about the option that an unknown one looks like."""
     names = [f"--{name.replace('_', '-')}" for name in vars(options)]
     known = [near for word in unknown for near in get_close_matches(word, names, 1)]

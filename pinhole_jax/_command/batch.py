@@ -25,7 +25,7 @@ from ..batch import (
 )
 from ..batch.inputs import check_fov
 from .options import record_of
-from .outputs import check_outputs, replaced
+from .outputs import check_outputs, replacement_words
 
 
 def run(options: argparse.Namespace, progress: Ticker) -> int:
@@ -49,8 +49,8 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
     if failure is not None:
         print(f"failure    {failure['id']}: {failure['words']}")
     paths = [options.merge, options.write and options.write[1]]
-    there = replaced([path for path in paths if path is not None])
-    if written := list(_written(options, results)):
+    there = replacement_words([path for path in paths if path is not None])
+    if written := list(_write_outputs(options, results)):
         print(f"written    {', '.join(written)}{there}")
     return int(failure is not None)
 
@@ -67,7 +67,7 @@ def _fit(options: argparse.Namespace, results: Results, say: Callable[[str], Any
         )
     say("counting records")
     on_step: Callable[[Count], Any] = lambda count: say(str(count))
-    with interrupts_raise(), _ended_as_interrupted():
+    with interrupts_raise(), _sigterm_interrupts():
         fit_many(
             data,
             track=options.track,
@@ -82,7 +82,7 @@ def _fit(options: argparse.Namespace, results: Results, say: Callable[[str], Any
 
 
 @contextlib.contextmanager
-def _ended_as_interrupted() -> Iterator[None]:
+def _sigterm_interrupts() -> Iterator[None]:
     """Treat a scheduler's SIGTERM as Ctrl-C: finished rows are written first."""
 
     def interrupted(number: int, frame: Any) -> None:
@@ -124,7 +124,7 @@ def _shard(text: str) -> tuple[int, int]:
     return int(parts[1]), int(parts[2])
 
 
-def _written(options: argparse.Namespace, results: Results) -> Iterator[str]:
+def _write_outputs(options: argparse.Namespace, results: Results) -> Iterator[str]:
     """Write the table and the camera asked for; yield their paths."""
     if options.merge is not None:
         with named(path="merge"):

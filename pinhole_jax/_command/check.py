@@ -9,7 +9,7 @@ from ..batch.inputs import read_mask, read_scene
 from ..names import STATUSES
 from .hand_eye import read_robot, read_views
 from .options import record_of
-from .outputs import check_outputs, replaced
+from .outputs import check_outputs, replacement_words
 
 #: The exit status when the masks cannot tell.
 UNTOLD = 3
@@ -32,7 +32,7 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
     for words in fit.weak:
         print(f"weak       {words}")
     if options.output is not None:
-        there = replaced([options.output])
+        there = replacement_words([options.output])
         with named(path="output"):
             io.save_fit(options.output, fit)
         print(f"written    {options.output}{there}")

@@ -10,14 +10,14 @@ import numpy as np
 from .. import Camera, JointFit, JointView, drift, fit_joint, io
 from .._files.naming import named
 from .._files.progress import Clock, Ticker
-from ..batch.inputs import read_mask, read_photo, read_start, unplaced
+from ..batch.inputs import poseless_camera, read_mask, read_photo, read_start
 from ..formats import object_pose
 from ..plot import overlay
 from ..robots import Robot, load_urdf
 from ..show.robot_page import robot_page
 from .joints import joint_angles
 from .options import record_of
-from .outputs import check_outputs, replaced
+from .outputs import check_outputs, replacement_words
 from .proposals import Sight, best_postures, worths
 
 
@@ -31,7 +31,7 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
     pictures = _pictures(options, masks)
     if options.refine:
         views = [v._replace(photo=p) for v, p in zip(views, pictures, strict=True)]
-    proposed = None if options.propose is None else _proposed(robot, options)
+    proposed = None if options.propose is None else _proposed_sights(robot, options)
     camera, search = _start(options, masks[0], progress.tell)
 
     progress.say(f"fitting {len(views)} views (the first time compiles, some seconds)")
@@ -78,7 +78,7 @@ def read_views(
     masks = [read_mask(record_of(options, mask=x), say) for x in options.masks]
     zeros, views = joint_zeros(options), []
     for angles, mask in zip(postures, masks, strict=True):
-        scene, mount = _posed(robot, angles, options.in_hand, "JOINTS")
+        scene, mount = _sight(robot, angles, options.in_hand, "JOINTS")
         posture = None if zeros is None else robot.posture(angles)
         views.append(JointView(scene, mask, mount=mount, posture=posture))
     return views
@@ -96,7 +96,7 @@ def joint_zeros(options: argparse.Namespace) -> float | None:
     return float(np.deg2rad(degrees))
 
 
-def _posed(robot: Robot, angles: dict[str, float], link: str | None, file: str) -> Sight:
+def _sight(robot: Robot, angles: dict[str, float], link: str | None, file: str) -> Sight:
     """Return a robot in a posture of a file, and the pose of the link that carries the camera."""
     with named(angles=file):
         poses = robot.poses(angles)
@@ -105,13 +105,13 @@ def _posed(robot: Robot, angles: dict[str, float], link: str | None, file: str) 
     return robot.at(poses), None if link is None else poses[link]
 
 
-def _proposed(robot: Robot, options: argparse.Namespace) -> list[Sight]:
+def _proposed_sights(robot: Robot, options: argparse.Namespace) -> list[Sight]:
     """Return a robot in the postures of `--propose`."""
     if "pose" not in options.free.split(","):
         raise ValueError(f"`propose`: expected `pose` in --free, got {options.free!r}")
     with named(path="propose"):
         postures = joint_angles(options.propose, robot)
-    return [_posed(robot, angles, options.in_hand, "propose") for angles in postures]
+    return [_sight(robot, angles, options.in_hand, "propose") for angles in postures]
 
 
 def _worths(
@@ -139,7 +139,7 @@ def _start(
     """Return the camera to start from, and True if only its lens is known."""
     H, W = mask.shape
     camera, phi, lens = read_start(record_of(options), (W, H), say)
-    return (unplaced(phi, W, H, lens), True) if camera is None else (camera, False)
+    return (poseless_camera(phi, W, H, lens), True) if camera is None else (camera, False)
 
 
 def _halves(fit: JointFit, views: list[JointView], options: argparse.Namespace) -> str:
@@ -183,7 +183,7 @@ def _write(
     drawings = [folder / f"overlay_{k}.png" for k in range(len(masks) * finite)]
     written = [folder / "camera.json", *drawings]
     written += [Path(options.report)] if options.report is not None and finite else []
-    words = f"written    {', '.join(map(str, written))}{replaced(written)}"
+    words = f"written    {', '.join(map(str, written))}{replacement_words(written)}"
     with named(path="output"):
         fitted = fit.cameras["camera"]._replace(status=fit.status)
         io.save_fit(written[0], fitted, pixel_centres=centres)

@@ -18,8 +18,8 @@ def check_outputs(**options: Any) -> None:
                 check_writable(path)
 
 
-def replaced(paths: Sequence[str | Path]) -> str:
-    """Return the end of a line about files to write: the ones that are replaced, if any."""
+def replacement_words(paths: Sequence[str | Path]) -> str:
+    """Return the end of a line about files to write: those that are replaced, if any."""
     there = [str(path) for path in paths if not is_stream(path) and Path(path).is_file()]
     return f" (replaced {', '.join(there)})" if there else ""
 
@@ -27,6 +27,6 @@ def replaced(paths: Sequence[str | Path]) -> str:
 @contextmanager
 def say_written(path: str, words: str) -> Iterator[None]:
     """Print that a file was written: on stderr if it went to stdout or a pipe."""
-    there = ", replaced" * bool(replaced([path]))
+    there = ", replaced" * bool(replacement_words([path]))
     yield
     print(f"written    {path} ({words}{there})", file=sys.stderr if is_stream(path) else sys.stdout)

@@ -20,11 +20,20 @@ from .. import Camera, Fit, Progress, fit_camera, io, silhouette
 from ..batch.inputs import numbers_of
 from ..formats import FORMATS
 from . import hand
-from .descriptions import fit_described, holding, mask_described
+from .descriptions import fit_description, mask_description, with_held_phi
 from .drawing import camera_numbers, grid_lines, outline_lines, straight_lines
 from .exports import export, plain
 from .session import Session, free_of, line_of, save_session, session_from_text
-from .strokes import LoadedMask, Stroke, Work, guessed, guides_about, guides_of, mask_of, stroke_of
+from .strokes import (
+    LoadedMask,
+    Stroke,
+    Work,
+    guess_mask,
+    guides_around,
+    guides_of,
+    mask_of,
+    stroke_of,
+)
 from .workpiece import Workpiece, workpiece_of
 
 #: The actions that the page may call.
@@ -73,8 +82,8 @@ class Bench:
         self._candidates: tuple[Fit, ...] = ()
         self._phi_was_free, self._held_phi = False, None
         self._guess = _guesses_of(workpiece)
-        self._undone: list[Work] = []
-        self._done: list[Work] = []
+        self._redo_stack: list[Work] = []
+        self._undo_stack: list[Work] = []
         self._straight = False
         self._stopping = threading.Event()
         self._lock, self._fits = threading.Lock(), False
@@ -117,8 +126,8 @@ class Bench:
             "formats": list(FORMATS),
             "folder": str(self.folder),
             "view": self.look(),
-            "mask": self._mask_described(),
-            "fit": None if self.result is None else self._fit_described(self.result),
+            "mask": self._mask_description(),
+            "fit": None if self.result is None else self._fit_description(self.result),
         }
 
     def look(self) -> dict[str, Any]:
@@ -151,15 +160,15 @@ class Bench:
             raise ValueError(f"`nearer`: expected a positive factor, got {factor}")
         extent, camera = self.workpiece.extent, self.camera
         if any(moves[:3]):
-            camera = hand.turned(camera, extent.centre, *moves[:3])
+            camera = hand.turn_object(camera, extent.centre, *moves[:3])
         if any(moves[3:]):
-            camera = hand.shifted(camera, extent.centre, *moves[3:])
-        self.camera = camera if factor == 1 else hand.nearer(camera, extent, factor)
+            camera = hand.shift_object(camera, extent.centre, *moves[3:])
+        self.camera = camera if factor == 1 else hand.scale_distance(camera, extent, factor)
         return self.look()
 
     def stand(self, up: str) -> dict[str, Any]:
         """Look at the whole object, standing with its axis x, y or z upwards."""
-        self.camera = hand.framed(self.camera, self.workpiece.extent, up)
+        self.camera = hand.frame_object(self.camera, self.workpiece.extent, up)
         return self.look()
 
     def lens(self, phi_degrees: Any = None, **changes: Any) -> dict[str, Any]:
@@ -184,32 +193,32 @@ class Bench:
 
     def stroke(self, **data: Any) -> dict[str, Any]:
         """Draw: see `strokes.stroke_of`."""
-        return self._with((*self.work, stroke_of(data)))
+        return self._push_work((*self.work, stroke_of(data)))
 
     def view_guides(self) -> dict[str, Any]:
         """Guide the guess by the view: object well within the outline, background well outside."""
         inside = np.asarray(silhouette(self.camera, self.workpiece.scene)) > 0.5
         if not np.any(inside):
             raise ValueError("the object is not in the picture: turn or shift it there first")
-        return self._with((*self.work, *guides_about(inside)))
+        return self._push_work((*self.work, *guides_around(inside)))
 
     def undo(self) -> dict[str, Any]:
         """Take back the last stroke or mask."""
-        if not self._done:
+        if not self._undo_stack:
             raise ValueError("nothing to undo")
-        self._undone.append(self.work)
-        return self._drawn(self._done.pop())
+        self._redo_stack.append(self.work)
+        return self._set_work(self._undo_stack.pop())
 
     def redo(self) -> dict[str, Any]:
         """Restore the stroke or mask that was taken back last."""
-        if not self._undone:
+        if not self._redo_stack:
             raise ValueError("nothing to redo")
-        self._done.append(self.work)
-        return self._drawn(self._undone.pop())
+        self._undo_stack.append(self.work)
+        return self._set_work(self._redo_stack.pop())
 
     def clear(self) -> dict[str, Any]:
         """Drop all strokes and masks."""
-        return self._with(()) if self.work else self._mask_described()
+        return self._push_work(()) if self.work else self._mask_description()
 
     def load_mask(self, data: str, name: str = "mask") -> dict[str, Any]:
         """Take a mask from a picture's file (in base64)."""
@@ -228,7 +237,7 @@ class Bench:
         if mask.shape != (H, W):
             size = f"{mask.shape[1]} x {mask.shape[0]}"
             raise ValueError(f"`mask`: expected the photo's size {W} x {H}, got {size}")
-        return self._with((*self.work, LoadedMask(mask)))
+        return self._push_work((*self.work, LoadedMask(mask)))
 
     def fit(
         self,
@@ -248,7 +257,7 @@ class Bench:
         start = None if search else self.camera
         known: Any = {"phi": self.camera.phi, "lens": self.camera.lens} if search else {}
         known["photo"] = self.workpiece.picture if refine else None
-        on_step = partial(self._on_the_way, push)
+        on_step = partial(self._on_step, push)
         try:
             fit = fit_camera(
                 self.workpiece.scene,
@@ -261,18 +270,18 @@ class Bench:
             )
         except StopRequest:
             raise ValueError("stopped: the camera has not changed") from None
-        self._candidates = tuple(holding(each, held) for each in (fit, *fit.modes))
+        self._candidates = tuple(with_held_phi(each, held) for each in (fit, *fit.modes))
         self._phi_was_free, self._held_phi = focal_is_free, held
         self.result, self.camera = self._candidates[0], fit.camera
-        return {"fit": self._fit_described(self.result), "view": self.look()}
+        return {"fit": self._fit_description(self.result), "view": self.look()}
 
-    def _on_the_way(self, push: Callable[[Any], None] | None, progress: Progress) -> None:
+    def _on_step(self, push: Callable[[Any], None] | None, progress: Progress) -> None:
         if self._stopping.is_set():
             raise StopRequest
         if push is not None:
-            push(self._stop_described(progress))
+            push(self._stop_description(progress))
 
-    def _stop_described(self, stop: Progress) -> dict[str, Any]:
+    def _stop_description(self, stop: Progress) -> dict[str, Any]:
         return {
             "words": str(stop),
             "camera": camera_numbers(stop.camera),
@@ -283,7 +292,7 @@ class Bench:
         """Return each step of the last fit, from its start."""
         if self.result is None or not self.result.history:
             raise ValueError("there is no result yet: fit first")
-        return {"stops": [self._stop_described(stop) for stop in self.result.history]}
+        return {"stops": [self._stop_description(stop) for stop in self.result.history]}
 
     def mode(self, number: Any) -> dict[str, Any]:
         """Take one of the cameras that fit the mask: 0 is the best, the others are its modes."""
@@ -293,7 +302,7 @@ class Bench:
         best = self._candidates[0]
         self.result = self._candidates[number]._replace(status=best.status, modes=best.modes)
         self.camera = self.result.camera
-        return {"fit": self._fit_described(self.result), "view": self.look()}
+        return {"fit": self._fit_description(self.result), "view": self.look()}
 
     def restore(self) -> dict[str, Any]:
         """Go back to the camera of the last fit."""
@@ -335,25 +344,25 @@ class Bench:
         self.camera, self.free, self.lines = session.camera, session.free, session.lines
         self.known_phi, self.result, self._candidates = session.known_phi, None, ()
         work = session.work
-        self._done, self._undone = [work[:k] for k in range(len(work))][-MOST_UNDONE:], []
-        self._drawn(work)
+        self._undo_stack, self._redo_stack = [work[:k] for k in range(len(work))][-MOST_UNDONE:], []
+        self._set_work(work)
 
-    def _with(self, work: Work) -> dict[str, Any]:
-        self._done = [*self._done, self.work][-MOST_UNDONE:]
-        self._undone = []
-        return self._drawn(work)
+    def _push_work(self, work: Work) -> dict[str, Any]:
+        self._undo_stack = [*self._undo_stack, self.work][-MOST_UNDONE:]
+        self._redo_stack = []
+        return self._set_work(work)
 
-    def _drawn(self, work: Work) -> dict[str, Any]:
+    def _set_work(self, work: Work) -> dict[str, Any]:
         W, H = self.workpiece.size
         self.work, self.mask = work, mask_of(work, self._guess(guides_of(work)), W, H)
-        return self._mask_described()
+        return self._mask_description()
 
-    def _mask_described(self) -> dict[str, Any]:
-        described = mask_described(self.mask, self.work)
-        return {**described, "can_undo": bool(self._done), "can_redo": bool(self._undone)}
+    def _mask_description(self) -> dict[str, Any]:
+        described = mask_description(self.mask, self.work)
+        return {**described, "can_undo": bool(self._undo_stack), "can_redo": bool(self._redo_stack)}
 
-    def _fit_described(self, fit: Fit) -> dict[str, Any]:
-        described = fit_described(fit, self.workpiece.scene, self.mask, self._held_phi)
+    def _fit_description(self, fit: Fit) -> dict[str, Any]:
+        described = fit_description(fit, self.workpiece.scene, self.mask, self._held_phi)
         modes = [m.iou for m in self._candidates] if fit.status != "non_finite" else []
         chosen = [m.camera is fit.camera for m in self._candidates].index(True)
         return {**described, "modes": modes, "chosen": chosen}
@@ -361,4 +370,4 @@ class Bench:
 
 def _guesses_of(workpiece: Workpiece) -> Callable[[tuple[Stroke, ...]], np.ndarray | None]:
     """Return a function from strokes to a guess; it keeps some, so that undo needs no new one."""
-    return lru_cache(MOST_GUESSES)(lambda guides: guessed(workpiece.picture, guides))
+    return lru_cache(MOST_GUESSES)(lambda guides: guess_mask(workpiece.picture, guides))

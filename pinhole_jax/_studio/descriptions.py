@@ -12,7 +12,7 @@ from .drawing import band_of
 from .strokes import Work, guides_of, png_of
 
 
-def mask_described(mask: np.ndarray | None, work: Work) -> dict[str, Any]:
+def mask_description(mask: np.ndarray | None, work: Work) -> dict[str, Any]:
     """Return the mask as a picture, its share of the photo, and the strokes of its guess."""
     return {
         "png": None if mask is None else png_of(mask),
@@ -21,7 +21,7 @@ def mask_described(mask: np.ndarray | None, work: Work) -> dict[str, Any]:
     }
 
 
-def holding(fit: Fit, phi_from: str | None) -> Fit:
+def with_held_phi(fit: Fit, phi_from: str | None) -> Fit:
     """Return a fit that names the guess of the field of view that it held fixed.
 
     The camera is only as right as that guess, so it has not `converged`. `phi_from` is the guess's
@@ -30,23 +30,23 @@ def holding(fit: Fit, phi_from: str | None) -> Fit:
     if phi_from is None:
         return fit
     cure = "the sigmas ignore its error: let the fit change it, or give --fov"
-    words = f"{_held(fit, phi_from)}; {cure}"
+    words = f"{_phi_words(fit, phi_from)}; {cure}"
     status = "uncertain" if fit.status == "converged" else fit.status
     return fit._replace(status=status, weak=(words, *fit.weak))
 
 
-def _held(fit: Fit, phi_from: str) -> str:
+def _phi_words(fit: Fit, phi_from: str) -> str:
     return f"field of view {phi_from}: {np.rad2deg(float(fit.camera.phi)):.1f} degrees"
 
 
-def fit_described(
+def fit_description(
     fit: Fit, scene: Scene, mask: np.ndarray | None, phi_from: str | None = None
 ) -> dict[str, Any]:
     """Return a fit's status, table, notes, outline with its band, K, R and t. (`phi_from`: see
-    `holding`.)"""
+    `with_held_phi`.)"""
     status = {"status": fit.status, "meaning": STATUSES[fit.status]}
     if phi_from is not None and fit.status == "uncertain":
-        status["meaning"] = f"use it as a start only: {_held(fit, phi_from)}"
+        status["meaning"] = f"use it as a start only: {_phi_words(fit, phi_from)}"
     if fit.status == "non_finite":
         none: dict[str, Any] = {"iou": None, "rows": [], "notes": [], "band": None, "pose": ""}
         return {**status, **none}

@@ -42,7 +42,7 @@ def camera_numbers(camera: Camera) -> dict[str, Any]:
 
 def outline_lines(camera: Camera, scene: Scene) -> list[list[float]]:
     """Return the outline as lines [x, y, x, y], to a hundredth of a px."""
-    lines = _flipped(outline(camera, scene), camera)
+    lines = _flip(outline(camera, scene), camera)
     near = np.all(np.abs(lines) < FAR * max(camera.W, camera.H), axis=(1, 2))
     return lines[near].round(2).reshape(-1, 4).tolist()
 
@@ -52,7 +52,7 @@ def band_of(fit: Fit, scene: Scene) -> dict[str, Any]:
 
     A half width is the motion of its line at one standard error.
     """
-    lines = _flipped(outline(fit.camera, scene), fit.camera)
+    lines = _flip(outline(fit.camera, scene), fit.camera)
     sigma = outline_sigma(fit, scene)
     shown = sigma[np.isfinite(sigma) & (sigma > 0)]
     return {
@@ -80,8 +80,8 @@ def grid_lines(camera: Camera) -> list[list[list[float]]]:
             lines.append(line)
     return [
         part
-        for line in _elsewhere(_ideal(camera), camera, np.array(lines))
-        for part in _within(line, camera)
+        for line in _reproject(_ideal(camera), camera, np.array(lines))
+        for part in _visible_parts(line, camera)
     ]
 
 
@@ -92,9 +92,9 @@ def straight_lines(camera: Camera, lines: Sequence[Line]) -> list[list[list[floa
         return []
     ends = np.array(lines, float) * [1, -1] + [0, camera.H]
     share = np.linspace(0, 1, POINTS)[:, None]
-    ideal = _elsewhere(camera, _ideal(camera), ends)
+    ideal = _reproject(camera, _ideal(camera), ends)
     rows = ideal[:, None, 0] * (1 - share) + ideal[:, None, 1] * share
-    return _flipped(_elsewhere(_ideal(camera), camera, rows), camera).round(2).tolist()
+    return _flip(_reproject(_ideal(camera), camera, rows), camera).round(2).tolist()
 
 
 def _ideal(camera: Camera) -> Camera:
@@ -103,19 +103,19 @@ def _ideal(camera: Camera) -> Camera:
     return camera.replace(lens=Lens(principal_point(camera), aspect))
 
 
-def _elsewhere(before: Camera, after: Camera, points: np.ndarray) -> np.ndarray:
+def _reproject(before: Camera, after: Camera, points: np.ndarray) -> np.ndarray:
     """Return film points of a camera as another camera of the same pose shows them."""
     at_origin = lambda camera: camera.with_pose([0, 0, 0], axes_of(camera))
     rays = rays_through(at_origin(before), points.astype(before.e.dtype))
     return np.asarray(project(at_origin(after), rays.direction), float)
 
 
-def _within(line: np.ndarray, camera: Camera) -> list[list[list[float]]]:
+def _visible_parts(line: np.ndarray, camera: Camera) -> list[list[list[float]]]:
     """Return the parts of a line of points on the film or near it."""
     margin = np.array([camera.W, camera.H]) * 0.1
     on = np.all((line > -margin) & (line < np.array([camera.W, camera.H]) + margin), axis=1)
     cuts = np.flatnonzero(np.diff(on.astype(int))) + 1
-    parts = np.split(_flipped(line, camera).round(2), cuts)
+    parts = np.split(_flip(line, camera).round(2), cuts)
     return [
         part.tolist()
         for part, is_on in zip(parts, np.split(on, cuts), strict=True)
@@ -123,6 +123,6 @@ def _within(line: np.ndarray, camera: Camera) -> list[list[list[float]]]:
     ]
 
 
-def _flipped(points: np.ndarray, camera: Camera) -> np.ndarray:
+def _flip(points: np.ndarray, camera: Camera) -> np.ndarray:
     """Return film coordinates as places from the picture's upper left corner."""
     return points * [1, -1] + [0, camera.H]

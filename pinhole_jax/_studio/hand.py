@@ -52,7 +52,7 @@ def extent_of(points: Float[np.ndarray, "n 3"]) -> Extent:
     return Extent(centre, float(np.max(np.linalg.norm(points - centre, axis=1), initial=1e-12)))
 
 
-def framed(camera: Camera, extent: Extent, up: str = "y") -> Camera:
+def frame_object(camera: Camera, extent: Extent, up: str = "y") -> Camera:
     """Return the camera looking at a whole object that stands with its axis x, y or z upwards."""
     if up not in UPRIGHT:
         raise ValueError(f"`up`: expected one of {', '.join(UPRIGHT)}, got {up!r}")
@@ -64,7 +64,7 @@ def framed(camera: Camera, extent: Extent, up: str = "y") -> Camera:
 
 
 def upright(camera: Camera) -> str | None:
-    """Return the axis x, y or z that `framed` put upwards, None after turns."""
+    """Return the axis x, y or z that `frame_object` put upwards, None after turns."""
     up = np.asarray(camera.u, float)
     along = (axis for axis, (upwards, _) in UPRIGHT.items() if np.array_equal(up, upwards))
     return next(along, None)
@@ -76,7 +76,9 @@ def _distance(camera: Camera, extent: Extent) -> float:
     return float(extent.radius / np.sin(half))
 
 
-def turned(camera: Camera, centre: Vector, right: float, up: float, clockwise: float) -> Camera:
+def turn_object(
+    camera: Camera, centre: Vector, right: float, up: float, clockwise: float
+) -> Camera:
     """Return the camera that sees the object turned about its centre by these angles (rad): its
     front to the right, upwards, and clockwise in the picture."""
     b1, b2, v = axes_of(camera)
@@ -86,7 +88,7 @@ def turned(camera: Camera, centre: Vector, right: float, up: float, clockwise: f
     return camera.with_pose(eye, axes_of(camera) @ rotation.T)
 
 
-def shifted(camera: Camera, centre: Vector, right: float, down: float) -> Camera:
+def shift_object(camera: Camera, centre: Vector, right: float, down: float) -> Camera:
     """Return the camera that sees the object's centre shifted in the picture (px)."""
     axes, eye = axes_of(camera), np.asarray(camera.e, float)
     fx, fy = focal_px(camera)
@@ -94,7 +96,7 @@ def shifted(camera: Camera, centre: Vector, right: float, down: float) -> Camera
     return camera.with_pose(eye + depth * (down / fy * axes[1] - right / fx * axes[0]), axes)
 
 
-def nearer(camera: Camera, extent: Extent, factor: float) -> Camera:
+def scale_distance(camera: Camera, extent: Extent, factor: float) -> Camera:
     """Return the camera with its distance from the object's centre scaled by a factor."""
     away = np.asarray(camera.e, float) - extent.centre
     far = float(np.linalg.norm(away))

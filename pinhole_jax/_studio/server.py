@@ -50,7 +50,7 @@ class Studio:
 
     def application(self) -> web.Application:
         """Return the server's routes, each behind the token."""
-        app = web.Application(middlewares=[self._guarded], client_max_size=MOST_BYTES)
+        app = web.Application(middlewares=[self._guard], client_max_size=MOST_BYTES)
         for path in FILES:
             app.router.add_get(path, self._file)
         app.router.add_get("/photo", self._answer_with(photo_file, "image/jpeg"))
@@ -59,7 +59,7 @@ class Studio:
         return app
 
     @web.middleware
-    async def _guarded(self, request: web.Request, handler: Any) -> web.StreamResponse:
+    async def _guard(self, request: web.Request, handler: Any) -> web.StreamResponse:
         given = request.query.get("token", "").encode()
         known = secrets.compare_digest(given, self.token.encode())
         origin = request.headers.get("Origin")
@@ -97,7 +97,7 @@ class Studio:
         """Answer a tab's messages as long as it is open."""
         socket = web.WebSocketResponse(max_msg_size=MOST_BYTES, heartbeat=30)
         await socket.prepare(request)
-        tab = self._opened(request.query.get("tab", ""))
+        tab = self._open_tab(request.query.get("tab", ""))
         outgoing: asyncio.Queue[dict[str, Any]] = asyncio.Queue()
         outgoing.put_nowait({"push": "tab", "tab": tab})
         sender = asyncio.create_task(_send_all(socket, outgoing))
@@ -114,7 +114,7 @@ class Studio:
             self._open.discard(tab)
         return socket
 
-    def _opened(self, tab: str) -> str:
+    def _open_tab(self, tab: str) -> str:
         """Return a tab's name: its former one, unless an open tab has that."""
         if tab not in self._benches or tab in self._open:
             tab = secrets.token_urlsafe(12)

@@ -46,7 +46,9 @@ class LoadedMask(NamedTuple):
 Work = tuple[Stroke | LoadedMask, ...]
 
 
-def drawn(strokes: Sequence[Stroke], values: Mapping[str, int], picture: np.ndarray) -> np.ndarray:
+def draw_strokes(
+    strokes: Sequence[Stroke], values: Mapping[str, int], picture: np.ndarray
+) -> np.ndarray:
     """Return a picture (H, W), uint8, with strokes drawn over it: each has its kind's value, on
     the pixels whose centres it covers."""
     from PIL import Image, ImageDraw
@@ -75,7 +77,7 @@ def guides_of(work: Work) -> tuple[Stroke, ...]:
     return tuple(guides)
 
 
-def guides_about(inside: np.ndarray) -> tuple[Stroke, ...]:
+def guides_around(inside: np.ndarray) -> tuple[Stroke, ...]:
     """Return guides for a view's silhouette (H, W): dots well inside it and well outside."""
     H, W = inside.shape
     off = max(KEEP_OFF * float(np.sqrt(np.count_nonzero(inside))), 2.0)
@@ -92,7 +94,7 @@ def guides_about(inside: np.ndarray) -> tuple[Stroke, ...]:
 def mask_of(work: Work, guess: np.ndarray | None, W: int, H: int) -> np.ndarray | None:
     """Return the mask (H, W), 255 on the object; None without strokes or a mask.
 
-    `guess` is `guessed` of `guides_of(work)`.
+    `guess` is `guess_mask` of `guides_of(work)`.
     """
     mask = guess
     for step in work if guess is None else ():
@@ -101,10 +103,10 @@ def mask_of(work: Work, guess: np.ndarray | None, W: int, H: int) -> np.ndarray 
     if not painted:
         return mask
     ground = np.zeros((H, W), np.uint8) if mask is None else mask
-    return drawn(painted, {"add": 255, "erase": 0}, ground)
+    return draw_strokes(painted, {"add": 255, "erase": 0}, ground)
 
 
-def guessed(photo: np.ndarray, guides: Sequence[Stroke]) -> np.ndarray | None:
+def guess_mask(photo: np.ndarray, guides: Sequence[Stroke]) -> np.ndarray | None:
     """Return a mask (H, W) guessed from strokes on object and background; None without an object.
 
     A random walker (Grady 2006, scikit-image's) decides for each pixel which stroke it is likelier
@@ -113,7 +115,7 @@ def guessed(photo: np.ndarray, guides: Sequence[Stroke]) -> np.ndarray | None:
     """
     H, W = photo.shape[:2]
     none = np.zeros((H, W), np.uint8)
-    seeds = drawn(guides, {"object": 1, "background": 2}, none).copy()
+    seeds = draw_strokes(guides, {"object": 1, "background": 2}, none).copy()
     if not np.any(seeds == 1):
         return None
     if not np.any(seeds == 2):
@@ -124,9 +126,9 @@ def guessed(photo: np.ndarray, guides: Sequence[Stroke]) -> np.ndarray | None:
         return np.full((H, W), 255, np.uint8)
     inside = None
     for level in _levels(W, H):
-        inside = _walked(_resized(photo, level), _shrunk(seeds, level), inside)
+        inside = _refine(_resize(photo, level), _shrink_seeds(seeds, level), inside)
     assert inside is not None
-    return np.uint8(255) * _resized(inside, (W, H))
+    return np.uint8(255) * _resize(inside, (W, H))
 
 
 def _levels(W: int, H: int) -> list[tuple[int, int]]:
@@ -137,16 +139,16 @@ def _levels(W: int, H: int) -> list[tuple[int, int]]:
     return [size for size in sizes if size[0] * size[1] <= FINEST_PX] or sizes[:1]
 
 
-def _walked(photo: np.ndarray, seeds: np.ndarray, before: np.ndarray | None) -> np.ndarray:
+def _refine(photo: np.ndarray, seeds: np.ndarray, before: np.ndarray | None) -> np.ndarray:
     """Return the object's pixels of a picture, guessed anew near the edge of a coarser answer."""
     H, W = seeds.shape
     labels = seeds.astype(np.int32)
     if before is not None:
-        coarse = _resized(before, (W, H))
+        coarse = _resize(before, (W, H))
         labels[(_depth(coarse) > EDGE_PX) & (labels == 0)] = 1
         labels[(_depth(~coarse) > EDGE_PX) & (labels == 0)] = 2
     if not (np.any(labels == 1) and np.any(labels == 2)):
-        return labels == 1 if before is None else _resized(before, (W, H))
+        return labels == 1 if before is None else _resize(before, (W, H))
     if not np.any(labels == 0):
         return labels == 1
     return _random_walker(photo, labels) == 1
@@ -172,7 +174,7 @@ def _random_walker(photo: np.ndarray, labels: np.ndarray) -> np.ndarray:
         )
 
 
-def _resized(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+def _resize(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     from PIL import Image
 
     if (image.shape[1], image.shape[0]) == size:
@@ -183,11 +185,11 @@ def _resized(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     return np.asarray(Image.fromarray(image).resize(size, Image.Resampling.BOX))
 
 
-def _shrunk(seeds: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+def _shrink_seeds(seeds: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Return seeds on a smaller picture, thin strokes included."""
     if (seeds.shape[1], seeds.shape[0]) == size:
         return seeds
-    object_, back = (_resized(np.uint8(255) * (seeds == label), size) for label in (1, 2))
+    object_, back = (_resize(np.uint8(255) * (seeds == label), size) for label in (1, 2))
     return np.where(object_ > back, 1, np.where(back > 0, 2, 0)).astype(np.uint8)
 
 

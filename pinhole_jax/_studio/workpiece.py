@@ -10,7 +10,7 @@ import numpy as np
 from .. import Camera, Lens, Scene, io
 from .._files.naming import named
 from ..batch.inputs import read_scene
-from .hand import Extent, extent_of, framed
+from .hand import Extent, extent_of, frame_object
 
 #: A guess of the field of view (rad), if nobody gives one.
 PHI = 0.7
@@ -74,7 +74,7 @@ def workpiece_of(
     if camera is None:
         phi_or_guess = PHI if phi is None else phi
         start = Camera([0, 0, 1], [0, 0, 0], [0, 1, 0], phi_or_guess, 1.0, W, H, lens)
-        camera = framed(start, extent, up)
+        camera = frame_object(start, extent, up)
     return Workpiece(str(Path(mesh)), str(Path(photo)), scene, picture, extent, camera, phi)
 
 

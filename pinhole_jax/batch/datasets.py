@@ -79,18 +79,18 @@ def read_dataset(
         if place.suffix.lower() not in TABLES:
             words = f"expected a folder or one of {', '.join(TABLES)}, got {str(path)!r}"
             raise ValueError(f"`path`: {words}")
-        return Dataset("table", lambda: _with(rest, _of_table(place)))
+        return Dataset("table", lambda: _with_defaults(rest, _table_records(place)))
     camera = "scene_camera.json"
     folders = [place.resolve(), *sorted(place.resolve().iterdir())]
     scenes = [folder for folder in folders if (folder / camera).is_file()]
     if not scenes:
-        return Dataset("folder", lambda: _with(rest, _of_folder(place)))
+        return Dataset("folder", lambda: _with_defaults(rest, _folder_records(place)))
     shapes = _models(place, models)
-    seen = None if detections is None else _detected(Path(detections), scenes)
-    return Dataset("BOP", lambda: _with(rest, _of_bop(scenes, shapes, seen, start)))
+    seen = None if detections is None else _detections(Path(detections), scenes)
+    return Dataset("BOP", lambda: _with_defaults(rest, _bop_records(scenes, shapes, seen, start)))
 
 
-def _with(fields: dict[str, Any], records: Iterator[Record]) -> Iterator[Record]:
+def _with_defaults(fields: dict[str, Any], records: Iterator[Record]) -> Iterator[Record]:
     """Yield records with defaults for their missing fields; a camera of their own stays whole."""
     cameras = {"K", "fov", "camera"}
     parts = {*cameras, "pixel_centres", "dist", "start"}
@@ -108,15 +108,15 @@ def _models(place: Path, models: str | os.PathLike[str] | None) -> Path:
     raise ValueError(f"`models`: expected the folder of the models of {str(place)!r}, {words}")
 
 
-def _of_bop(
+def _bop_records(
     scenes: list[Path], models: Path, detections: dict[int, list[Any]] | None, start: bool
 ) -> Iterator[Record]:
     for scene in scenes:
         cameras = _json(scene / "scene_camera.json", "`path`", dict)
         if detections is None:
-            objects = _labelled(scene, start)
+            objects = _ground_truth(scene, start)
         else:
-            objects = _segmented(detections.get(int(scene.name), []))
+            objects = _scene_detections(detections.get(int(scene.name), []))
         for image, number, object_, fields in objects:
             camera = cameras.get(image, {})
             if not isinstance(camera, dict):
@@ -135,13 +135,13 @@ def _of_bop(
 _Objects = Iterator[tuple[str, int, int, dict[str, Any]]]
 
 
-def _labelled(scene: Path, start: bool) -> _Objects:
+def _ground_truth(scene: Path, start: bool) -> _Objects:
     """Yield the objects that BOP has labelled in a scene."""
     file = scene / "scene_gt.json"
     for image, poses in _json(file, "`path`", dict).items():
         place = f"`path`: {str(file)!r}, image {image!r}"
-        stem = _whole(image, f"{place}: expected the image's number")
-        for number, pose in enumerate(_items(poses, place)):
+        stem = _integer(image, f"{place}: expected the image's number")
+        for number, pose in enumerate(_objects(poses, place)):
             mask = scene / "mask_visib" / f"{stem:06d}_{number:06d}.png"
             fields: dict[str, Any] = {"mask": str(mask)}
             if start:
@@ -150,11 +150,11 @@ def _labelled(scene: Path, start: bool) -> _Objects:
                     raise ValueError(f"{place}: expected `cam_R_m2c` and `cam_t_m2c` to start from")
                 rows = [[*R[3 * k : 3 * k + 3], t[k]] for k in range(3)]
                 fields["start"] = [*rows, [0, 0, 0, 1]]
-            object_ = _whole(pose.get("obj_id"), f"{place}: expected `obj_id`, a number")
+            object_ = _integer(pose.get("obj_id"), f"{place}: expected `obj_id`, a number")
             yield image, number, object_, fields
 
 
-def _detected(path: Path, scenes: list[Path]) -> dict[int, list[Any]]:
+def _detections(path: Path, scenes: list[Path]) -> dict[int, list[Any]]:
     """Return COCO's detections by the number of their scene."""
     data = _json(path, "`detections`", (list, dict))
     if isinstance(data, dict) and "annotations" in data:
@@ -164,9 +164,9 @@ def _detected(path: Path, scenes: list[Path]) -> dict[int, list[Any]]:
         words = "expected scenes' folders named by the `scene_id` of `detections`, as 000001"
         raise ValueError(f"`path`: {words}, got {others[0]!r}")
     by_scene: dict[int, list[Any]] = {}
-    for number, detection in enumerate(_items(data, "`detections`")):
+    for number, detection in enumerate(_objects(data, "`detections`")):
         words = f"`detections`: expected `scene_id`, the number of a BOP scene, in number {number}"
-        by_scene.setdefault(_whole(detection.get("scene_id"), words), []).append(detection)
+        by_scene.setdefault(_integer(detection.get("scene_id"), words), []).append(detection)
     numbers = [int(scene.name) for scene in scenes]
     if by_scene and not by_scene.keys() & {*numbers}:
         words = f"expected `scene_id` among {brief(numbers)}, the scenes of `path`"
@@ -174,12 +174,12 @@ def _detected(path: Path, scenes: list[Path]) -> dict[int, list[Any]]:
     return by_scene
 
 
-def _segmented(detections: list[dict[str, Any]]) -> _Objects:
+def _scene_detections(detections: list[dict[str, Any]]) -> _Objects:
     """Yield the objects detected in a scene."""
     numbers: dict[int, int] = {}
     for detection in detections:
         image, object_ = (
-            _whole(detection.get(name), f"`detections`: expected `{name}`, a number")
+            _integer(detection.get(name), f"`detections`: expected `{name}`, a number")
             for name in ("image_id", "category_id")
         )
         number = numbers[image] = numbers.get(image, -1) + 1
@@ -199,14 +199,14 @@ def _json(path: Path, name: str, kind: Any) -> Any:
     return data
 
 
-def _items(values: Any, place: str) -> list[dict[str, Any]]:
+def _objects(values: Any, place: str) -> list[dict[str, Any]]:
     """Return a list of JSON objects, or raise ValueError."""
     if not isinstance(values, list) or not all(isinstance(value, dict) for value in values):
         raise ValueError(f"{place}: expected a list of objects, got {brief(values)}")
     return values
 
 
-def _whole(value: Any, words: str) -> int:
+def _integer(value: Any, words: str) -> int:
     """Return a whole number, also from a text; raise ValueError with `words` for anything else."""
     with contextlib.suppress(TypeError, ValueError, OverflowError):
         if not isinstance(value, bool) and int(value) == float(value):
@@ -214,10 +214,10 @@ def _whole(value: Any, words: str) -> int:
     raise ValueError(f"{words}, got {value!r}")
 
 
-def _of_table(path: Path) -> Iterator[Record]:
+def _table_records(path: Path) -> Iterator[Record]:
     is_csv = path.suffix.lower() == ".csv"
     for number, row in enumerate(_rows(path, is_csv), 1):
-        record = {n: _of_cell(n, x) if is_csv else x for n, x in row.items() if x != ""}
+        record = {n: _cell_value(n, x) if is_csv else x for n, x in row.items() if x != ""}
         record["id"] = str(number if record.get("id") is None else record["id"])
         for name, value in files_of(record).items():
             record[name] = str(path.parent / value)
@@ -244,7 +244,7 @@ def _rows(path: Path, is_csv: bool) -> Iterator[dict[str, Any]]:
             raise ValueError(f"`path`: expected {kind} of {str(path)!r}: {error}") from None
 
 
-def _of_cell(name: str, cell: str) -> Any:
+def _cell_value(name: str, cell: str) -> Any:
     """Return the value of a CSV's cell: JSON where it is JSON and the field no text."""
     if name != "id" and (name not in PATHS or cell[0] in "{["):
         with contextlib.suppress(TypeError, ValueError):
@@ -252,7 +252,7 @@ def _of_cell(name: str, cell: str) -> Any:
     return cell
 
 
-def _of_folder(place: Path) -> Iterator[Record]:
+def _folder_records(place: Path) -> Iterator[Record]:
     meshes = sorted(f for f in place.iterdir() if f.suffix.lower() in MESHES)
     if len(meshes) != 1:
         words = f"got {len(meshes)} meshes and no scene_camera.json in {str(place)!r}"

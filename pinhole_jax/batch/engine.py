@@ -42,7 +42,7 @@ def rows_of(
         if executor is None:
             future = next(w for w in own if w.future not in running).give(record)
         else:
-            future = _given(executor, record, setup)
+            future = _submit(executor, record, setup)
         running[future] = record, tries, time.monotonic()
 
     try:
@@ -75,7 +75,7 @@ def rows_of(
             process.end()
 
 
-def _given(executor: Executor, record: Record, setup: Setup) -> Future[Row]:
+def _submit(executor: Executor, record: Record, setup: Setup) -> Future[Row]:
     try:
         return executor.submit(worker.run, record, setup)
     except RuntimeError as error:  # (a broken pool's is one)

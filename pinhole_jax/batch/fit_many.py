@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from ..names import STATUSES
 from .engine import rows_of
-from .parts import Done, Results, Writer
+from .parts import Ledger, Results, Writer
 from .records import Record, check_id, plain_record, shard_of
 from .rows import NO_FIT, Row
 from .tracking import tracked_rows
@@ -110,10 +110,10 @@ def fit_many(
     if track and executor is not None:
         raise ValueError("`executor`: expected None beside `track`, got one")
     results = None if out is None else Results(out)
-    done = Done() if results is None else results.done(but=retry)
-    total, before = _planned(items, shard, done)
-    kept: dict[str, Row] = {}
-    waiting = _sorted(_left(items, shard, done, kept))
+    done = Ledger() if results is None else results.done(but=retry)
+    total, before = _count(items, shard, done)
+    rows_by_id: dict[str, Row] = {}
+    waiting = _by_mesh(_unfinished(items, shard, done, rows_by_id))
     setup = Setup(cached, time_limit, TOKEN)
     rows = tracked_rows(waiting, setup) if track else rows_of(waiting, executor, workers, setup)
     writer = None if results is None else Writer(results.folder)
@@ -122,7 +122,7 @@ def fit_many(
     try:
         for row in rows:
             if writer is None:
-                kept[row["id"]] = row
+                rows_by_id[row["id"]] = row
             else:
                 writer.add(row)
             statuses[row["status"]] += 1
@@ -133,7 +133,7 @@ def fit_many(
         rows.close()  # ends the workers, also after an interrupt
         if writer is not None:
             writer.flush()
-    return [*kept.values()] if results is None else results
+    return [*rows_by_id.values()] if results is None else results
 
 
 def _check(
@@ -147,8 +147,8 @@ def _check(
     check(records, "items", "records, one after another", items)
     pool = executor is None or isinstance(executor, Executor)
     check(pool, "executor", "a concurrent.futures.Executor", executor)
-    check(workers is None or _counts(workers), "workers", "an integer of at least 1", workers)
-    pair = isinstance(shard, tuple) and len(shard) == 2 and all(map(_counts, shard))
+    check(workers is None or _is_count(workers), "workers", "an integer of at least 1", workers)
+    pair = isinstance(shard, tuple) and len(shard) == 2 and all(map(_is_count, shard))
     check(pair and shard[0] <= shard[1], "shard", "(i, n) with i from 1 to n", shard)
     limit = time_limit is None or (isinstance(time_limit, int | float) and time_limit > 0)
     check(limit, "time_limit", "positive seconds", time_limit)
@@ -157,12 +157,12 @@ def _check(
     check(listed, "retry", f"a list of statuses among {', '.join(known)}", retry)
 
 
-def _counts(value: object) -> bool:
+def _is_count(value: object) -> bool:
     """Return True for an integer of at least 1."""
     return isinstance(value, int) and not isinstance(value, bool) and value >= 1
 
 
-def _planned(items: Iterable[Record], shard: tuple[int, int], done: Done) -> tuple[int | None, int]:
+def _count(items: Iterable[Record], shard: tuple[int, int], done: Ledger) -> tuple[int | None, int]:
     """Return the number of records in a shard (None for an iterator), and of those done.
 
     It checks all ids, so that a missing one does not end a run of hours.
@@ -170,27 +170,27 @@ def _planned(items: Iterable[Record], shard: tuple[int, int], done: Done) -> tup
     if isinstance(items, Iterator):
         return None, 0
     total = before = 0
-    for record in _checked(items, shard):
+    for record in _shard_records(items, shard):
         total += 1
         before += done.has(record)
     return total, before
 
 
-def _left(
+def _unfinished(
     items: Iterable[Record],
     shard: tuple[int, int],
-    done: Done,
-    kept: dict[str, Row],
+    done: Ledger,
+    rows_by_id: dict[str, Row],
 ) -> Iterator[Record]:
     """Yield the records that are not done; reserve the places of rows that stay in memory."""
-    for record in _checked(items, shard):
+    for record in _shard_records(items, shard):
         if not done.has(record):
             if done.results is None:
-                kept[record["id"]] = {}
+                rows_by_id[record["id"]] = {}
             yield plain_record(record)  # processes can be handed plain values only
 
 
-def _checked(items: Iterable[Record], shard: tuple[int, int]) -> Iterator[Record]:
+def _shard_records(items: Iterable[Record], shard: tuple[int, int]) -> Iterator[Record]:
     """Yield the records of a shard; raise ValueError for a missing id, or the same one again."""
     number, count = shard
     seen: set[str] = set()
@@ -203,7 +203,7 @@ def _checked(items: Iterable[Record], shard: tuple[int, int]) -> Iterator[Record
             yield record
 
 
-def _sorted(records: Iterator[Record]) -> Iterator[Record]:
+def _by_mesh(records: Iterator[Record]) -> Iterator[Record]:
     """Yield records, some thousands at a time sorted by mesh, which is then opened once."""
     while window := list(itertools.islice(records, WINDOW)):
         yield from sorted(window, key=_mesh_of)

@@ -167,11 +167,11 @@ def read_start(record: Record, size: Size, say: Say) -> Start:
     if phi is None or window.before == size:
         return Start(phi=phi)
     with named(phi="fov"):
-        camera = window.camera(unplaced(phi, *window.before), "fov")
+        camera = window.camera(poseless_camera(phi, *window.before), "fov")
     return Start(phi=camera.phi, lens=camera.lens)
 
 
-def unplaced(phi: Any, W: int, H: int, lens: pj.Lens | None = None) -> pj.Camera:
+def poseless_camera(phi: Any, W: int, H: int, lens: pj.Lens | None = None) -> pj.Camera:
     """Return a camera of no known pose: 1 unit from the origin."""
     return pj.Camera([0, 0, 1], [0, 0, 0], [0, 1, 0], phi, 1.0, W, H, lens)
 
@@ -309,7 +309,7 @@ class _Window(NamedTuple):
             with named(W="crop", H="crop"):
                 camera = pj.formats.cropped(camera, *self.crop)
         elif self.before != (camera.W, camera.H):
-            before, size = _by(self.before), _by((camera.W, camera.H))
+            before, size = _size_words(self.before), _size_words((camera.W, camera.H))
             if self.before != self.size:
                 words = f"expected the size of the camera of `{field}`, {size}, got {before}"
                 raise ValueError(f"`resize`: {words}")
@@ -323,27 +323,27 @@ class _Window(NamedTuple):
 def _window(record: Record, size: Size) -> _Window:
     before = size
     if "resize" in record:
-        before = _whole("resize", *numbers_of("resize", record["resize"], 2))
+        before = _pixel_size("resize", *numbers_of("resize", record["resize"], 2))
     if "crop" not in record:
         return _Window(None, before, size)
     left, top, *sides = numbers_of("crop", record["crop"], 4)
-    inside = _whole("crop", *sides)
+    inside = _pixel_size("crop", *sides)
     if inside != before and "resize" not in record:
         raise ValueError(
-            f"`crop`: expected the mask's size {_by(size)}, got {_by(inside)}; if it was resized"
-            f" after that, add `resize` {inside[0]} {inside[1]}"
+            f"`crop`: expected the mask's size {_size_words(size)}, got {_size_words(inside)};"
+            f" if it was resized after that, add `resize` {inside[0]} {inside[1]}"
         )
     if inside != before:
-        words = f"expected the size of `crop`, {_by(inside)}, got {_by(before)}"
+        words = f"expected the size of `crop`, {_size_words(inside)}, got {_size_words(before)}"
         raise ValueError(f"`resize`: {words}")
     return _Window((left, top, *inside), before, size)
 
 
-def _whole(field: str, W: float, H: float) -> Size:
+def _pixel_size(field: str, W: float, H: float) -> Size:
     if W % 1 or H % 1 or min(W, H) < 1:
         raise ValueError(f"`{field}`: expected a width and height in px, got {W:g} x {H:g}")
     return int(W), int(H)
 
 
-def _by(size: Size) -> str:
+def _size_words(size: Size) -> str:
     return f"{size[0]} x {size[1]}"

@@ -105,7 +105,7 @@ class Results:
 
     def __iter__(self) -> Iterator[Row]:
         places = self._places()
-        yield from _read(places[id] for id in sorted(places))
+        yield from _rows_at(places[id] for id in sorted(places))
 
     def rows(self, ids: Iterable[str]) -> list[Row]:
         """Return the rows of these ids, in their order; raise ValueError for an unknown id."""
@@ -113,7 +113,7 @@ class Results:
         if missing := [id for id in wanted if id not in places]:
             words = f"expected one of the rows in {str(self.folder)!r}, got {missing[0]!r}"
             raise ValueError(f"`id`: {words}")
-        return [*_read(places[id] for id in wanted)]
+        return [*_rows_at(places[id] for id in wanted)]
 
     def row(self, id: str) -> Row:
         """Return the row of an id; raise ValueError for an unknown id."""
@@ -123,10 +123,10 @@ class Results:
         """Return the number of rows of each status, the most frequent first."""
         return dict(Counter(place.status for place in self._places().values()).most_common())
 
-    def done(self, but: Collection[str] = ()) -> "Done":
+    def done(self, but: Collection[str] = ()) -> "Ledger":
         """Return the finished records, except those with the statuses `but`."""
         places = self._places()
-        return Done(self, {id: x.settings for id, x in places.items() if x.status not in but})
+        return Ledger(self, {id: x.settings for id, x in places.items() if x.status not in but})
 
     def _places(self) -> dict[str, _Place]:
         """Return the place of each id's last row."""
@@ -135,13 +135,13 @@ class Results:
             offset = 0
             with open(path, "rb") as stream:
                 for line in stream:
-                    id, status, settings = _head_of(line, path)
+                    id, status, settings = _head(line, path)
                     places[id] = _Place(path, offset, sys.intern(status), settings)
                     offset += len(line)
         return places
 
 
-class Done(NamedTuple):
+class Ledger(NamedTuple):
     """Results, and a digest of the settings of each finished record."""
 
     results: Results | None = None
@@ -166,7 +166,7 @@ def _digest(settings: Record) -> bytes:
     return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).digest()[:8]
 
 
-def _read(places: Iterable[_Place]) -> Iterator[Row]:
+def _rows_at(places: Iterable[_Place]) -> Iterator[Row]:
     """Yield the rows at places."""
     for path, offset, *_ in places:
         with open(path, "rb") as stream:
@@ -174,7 +174,7 @@ def _read(places: Iterable[_Place]) -> Iterator[Row]:
             yield row_of(stream.readline().decode())
 
 
-def _head_of(line: bytes, path: Path) -> tuple[str, str, bytes]:
+def _head(line: bytes, path: Path) -> tuple[str, str, bytes]:
     """Return a row's id and status, and the digest of its record's settings."""
     try:
         data = json.loads(line)

@@ -57,7 +57,7 @@ def check_record(record: Any) -> dict[str, Any]:
     if unknown := [name for name in record if name not in FIELDS]:
         known = ", ".join(FIELDS)
         raise ValueError(f"`item`: expected fields among {known}, got {unknown[0]!r}")
-    plain = {n: x for n, x in plain_record(record).items() if _counts(n, x)}
+    plain = {n: x for n, x in plain_record(record).items() if _has_value(n, x)}
     if missing := {"mesh", "mask"} - plain.keys():
         raise ValueError(f"`item`: expected `mesh` and `mask`, got no {' and no '.join(missing)}")
     for name in {"invert", "tidy"} & plain.keys():
@@ -71,7 +71,7 @@ def check_record(record: Any) -> dict[str, Any]:
     return plain
 
 
-def _counts(name: str, value: Any) -> bool:
+def _has_value(name: str, value: Any) -> bool:
     """Return False for a field that is as good as missing; `outlier_px` means something as null."""
     return value is not None or name == "outlier_px"
 
@@ -138,7 +138,7 @@ def settings_of(record: Record) -> dict[str, Any]:
         name: value
         for name, value in record.items()
         if name not in {"id", *files_of(record)}
-        and _counts(name, value)
+        and _has_value(name, value)
         and value != DEFAULTS.get(name, ...)
     }
 

@@ -58,23 +58,23 @@ def empty_row(record: Record, status: str, words: str, seconds: float = 0.0) -> 
 
 def line_of(row: Row) -> str:
     """Return a row as a line of JSON."""
-    return json.dumps({name: _written(value) for name, value in row.items()}, allow_nan=False)
+    return json.dumps({name: _json_value(value) for name, value in row.items()}, allow_nan=False)
 
 
 def row_of(line: str) -> Row:
     """Return the row of `line_of`'s line."""
-    return {name: _read(name, value) for name, value in json.loads(line).items()}
+    return {name: _row_value(name, value) for name, value in json.loads(line).items()}
 
 
-def _written(value: Any) -> Any:
+def _json_value(value: Any) -> Any:
     if isinstance(value, list):
-        return [_written(part) for part in value]
+        return [_json_value(part) for part in value]
     if isinstance(value, float) and not math.isfinite(value):
         return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"
     return value
 
 
-def _read(name: str, value: Any) -> Any:
+def _row_value(name: str, value: Any) -> Any:
     kind = COLUMNS.get(name)
     if kind == list[float] and value is not None:
         return [NOT_FINITE[x] if isinstance(x, str) else x for x in value]

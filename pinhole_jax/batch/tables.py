@@ -49,7 +49,7 @@ def merge(results: Results, path: str | os.PathLike[str]) -> int:
     if ending == ".jsonl":
         return write_lines(path, map(line_of, results))
     ids = results.ids()
-    table = _bop if ids and all(map(_is_bop, ids)) else _flat
+    table = _bop_table if ids and all(map(_is_bop, ids)) else _flat_table
     return write_lines(path, map(_csv_line, table(results))) - 1
 
 
@@ -59,7 +59,7 @@ def _csv_line(values: list[Any]) -> str:
     return line.getvalue()
 
 
-def _flat(results: Results) -> Iterator[list[Any]]:
+def _flat_table(results: Results) -> Iterator[list[Any]]:
     sigmas = [*dict.fromkeys(name for row in results for name in row["names"] or ())]
     names = [*NUMBERS, *(f"sigma_{name}{'_rad' * name.startswith(ANGLES)}" for name in sigmas)]
     yield ["id", "status", "iou", "rms", *names, "words"]
@@ -83,7 +83,7 @@ def _is_bop(id: str) -> bool:
     return bool(re.search(r"(^|/)\d+/\d+/\d+/\d+$", id))
 
 
-def _bop(results: Results) -> Iterator[list[Any]]:
+def _bop_table(results: Results) -> Iterator[list[Any]]:
     """Yield BOP's results; each line has the time of its whole image, as BOP's tools require."""
     seconds: dict[Any, float] = {}
     place = lambda row: [*map(int, row["id"].split("/")[-4:])]

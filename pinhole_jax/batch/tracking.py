@@ -18,7 +18,7 @@ def tracked_rows(records: Iterable[Record], setup: Setup) -> Generator[Row, None
     converged: dict[str, Row] = {}
     for record in records:
         mesh = str(record.get("mesh"))
-        row = worker.run(_continued(record, converged.get(mesh)), setup)
+        row = worker.run(_record_after(record, converged.get(mesh)), setup)
         row["record"] = json.dumps(plain_record(record))
         if row["hash"] is not None:
             row["hash"] = digest_of(check_record(record))
@@ -27,7 +27,7 @@ def tracked_rows(records: Iterable[Record], setup: Setup) -> Generator[Row, None
         yield row
 
 
-def _continued(record: Record, last: Row | None) -> Record:
+def _record_after(record: Record, last: Row | None) -> Record:
     """Return a record that starts at a row's camera, unless it has a start of its own."""
     bent = last is not None and "distortion" in (json.loads(last["lens"]) or {})
     if last is None or {"start", "camera"} & record.keys() or (bent and "dist" not in record):

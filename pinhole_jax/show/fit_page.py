@@ -22,7 +22,7 @@ from .outline import (
     outline_sigma,
     overlay,
 )
-from .page import Html, document, escaped, facts, figure, items, status, table
+from .page import Html, as_html, document, facts, figure, items, status, table
 from .space import scene_view
 from .table import parameters
 
@@ -106,7 +106,7 @@ def page(
         "Where mask and camera differ": differs,
         "Parameters": f"{parameters(fit, 'Fitted parameters with standard errors')}<p>Pitch, yaw"
         f" and roll are the camera's in the world. {_assumption(fit)}</p><h3>K, R and t, and the"
-        f" object's pose</h3><pre>{escaped(str(pose))}</pre>",
+        f" object's pose</h3><pre>{as_html(str(pose))}</pre>",
         "Correlations": _correlations(fit),
         "What the mask leaves open": _open_questions(fit),
         "Convergence": _convergence(fit, scene),

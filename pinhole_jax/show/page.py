@@ -27,7 +27,7 @@ class Svg(Html):
         return str(self)
 
 
-def escaped(text: str) -> str:
+def as_html(text: str) -> str:
     """Return text as HTML."""
     return text if isinstance(text, Html) else html.escape(text)
 
@@ -63,7 +63,7 @@ def facts(numbers: Mapping[str, str]) -> str:
 
 def items(sentences: Iterable[str]) -> str:
     """Return a list of sentences, or nothing if there are none."""
-    each = [f"<li>{escaped(words.removesuffix('.'))}.</li>" for words in sentences]
+    each = [f"<li>{as_html(words.removesuffix('.'))}.</li>" for words in sentences]
     return f"<ul>{''.join(each)}</ul>" if each else ""
 
 
@@ -71,7 +71,7 @@ def figure(picture: np.ndarray | Svg, words: str) -> str:
     """Return a picture (uint8 RGB or grey, or a diagram) with a caption."""
     from PIL import Image
 
-    caption = f"<figcaption>{escaped(words)}</figcaption></figure>"
+    caption = f"<figcaption>{as_html(words)}</figcaption></figure>"
     if isinstance(picture, Svg):
         return f'<figure class="diagram">{picture}{caption}'
     buffer = io.BytesIO()
@@ -85,13 +85,13 @@ def table(
     heads: Iterable[str], rows: Iterable[Iterable[str]], caption: str = "", kind: str = "parameters"
 ) -> str:
     """Return a table: each row's first cell is its head."""
-    columns = "".join(f'<th scope="col">{escaped(head)}</th>' for head in heads)
+    columns = "".join(f'<th scope="col">{as_html(head)}</th>' for head in heads)
     first = f"<thead><tr>{columns}</tr></thead>" if columns else ""
     lines = []
     for head, *cells in rows:
-        filled = "".join(f"<td>{escaped(cell)}</td>" for cell in cells)
-        lines.append(f'<tr><th scope="row">{escaped(head)}</th>{filled}</tr>')
-    named = f"<caption>{escaped(caption)}</caption>" if caption else ""
+        filled = "".join(f"<td>{as_html(cell)}</td>" for cell in cells)
+        lines.append(f'<tr><th scope="row">{as_html(head)}</th>{filled}</tr>')
+    named = f"<caption>{as_html(caption)}</caption>" if caption else ""
     return (
         f'<div class="wide"><table class="{kind}">{named}{first}'
         f"<tbody>{''.join(lines)}</tbody></table></div>"

@@ -9,7 +9,7 @@ from .. import JointFit, silhouette
 from ..formats import object_pose
 from ..io import as_coverage
 from .outline import disagreement, object_window, overlay
-from .page import document, escaped, facts, figure, items, status, table
+from .page import as_html, document, facts, figure, items, status, table
 from .table import HEADS, parameters
 
 VIEW_WORDS = (
@@ -50,16 +50,16 @@ def robot_page(
     well = "<p>Every parameter is well determined, and the views agree.</p>"
     sections = {
         "Outlines": "".join(_outlines(fit, pictures, names)),
-        f"The camera in the frame of {escaped(frame)}": parameters(camera, "Fitted parameters")
+        f"The camera in the frame of {as_html(frame)}": parameters(camera, "Fitted parameters")
         + _zeros(fit)
         + "<p>A 95 % interval is 1.96 sigma to either side.</p>",
         "What the masks leave open": items(weak) or well,
         "Postures": _views(fit, masks, names),
-        "K, R and t": f"<pre>{escaped(str(pose))}</pre>",
+        "K, R and t": f"<pre>{as_html(str(pose))}</pre>",
     }
     for heading, words in {"Halves of the postures": halves, "Other postures": proposed}.items():
         if words is not None:
-            sections[heading] = f"<p>{escaped(words)}</p>"
+            sections[heading] = f"<p>{as_html(words)}</p>"
     return document("Camera of a robot", status(fit) + facts(numbers), sections)
 
 

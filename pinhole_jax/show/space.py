@@ -50,8 +50,8 @@ def scene_view(camera: Camera, scene: Scene, size: int = 800) -> np.ndarray:
     ends = [b[:3] + s * b[3] for b in balls for s in (-1, 1)]
     spread = np.concatenate([np.array([*border, eye, tick, *ends]), triangles.reshape(-1, 3)])
     wide, high = 2 * size, 2 * (3 * size // 4)  # drawn at twice the size and averaged down
-    view = _beside(axes)
-    place, scale = _placing(spread, view, (wide, high), 0.06 * high)
+    view = _side_axes(axes)
+    place, scale = _placement(spread, view, (wide, high), 0.06 * high)
 
     canvas = Image.new("RGB", (wide, high), GROUND)
     draw = ImageDraw.Draw(canvas, "RGBA")
@@ -95,7 +95,7 @@ def frustum(camera: Camera, way: Iterable[Camera] = (), others: Sequence[Camera]
     spread = np.array([*film, *world, *steps, *rings, middle, tick])
     if not np.all(np.isfinite(spread)):
         return Svg()
-    place, _ = _placing(spread, _beside(axes), (W, H), ROOM)
+    place, _ = _placement(spread, _side_axes(axes), (W, H), ROOM)
     at = lambda points: " ".join(f"{x:.1f},{y:.1f}" for x, y in place(np.array(points)))
     line = lambda points, style: f'<polyline points="{at(points)}" fill="none" {style}/>'
     dot = lambda point, style: "<circle cx='{:.1f}' cy='{:.1f}' r='3.5' {}/>".format(
@@ -124,7 +124,7 @@ def axes_of(camera: Camera) -> Float[np.ndarray, "3 3"]:
     return np.stack([np.asarray(axis, float) for axis in camera_basis(camera)])
 
 
-def _beside(axes: np.ndarray) -> np.ndarray:
+def _side_axes(axes: np.ndarray) -> np.ndarray:
     """Return the axes of a view from the side as rows: right, up, towards the viewer."""
     b1, b2, v = axes
     aside = np.cos(BEHIND) * b1 - np.sin(BEHIND) * v
@@ -134,7 +134,7 @@ def _beside(axes: np.ndarray) -> np.ndarray:
     return np.stack([right, np.cross(back, right), back])
 
 
-def _placing(
+def _placement(
     spread: Points, view: np.ndarray, size: tuple[int, int], room: float
 ) -> tuple[Callable[[np.ndarray], np.ndarray], float]:
     """Return a function from points (..., 3) to px (..., 2) of a picture with all of `spread` in

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 
 from .. import Camera, Fit
 from ..names import STATUSES
-from .page import escaped, items, table
+from .page import as_html, items, table
 from .space import frustum
 
 HEADS = ("parameter", "value", "one sigma", "unit", "")
@@ -32,7 +32,7 @@ def fit_card(fit: Fit) -> str:
     colour = GOOD if fit.status == "converged" else BAD
     pill = f"background:{colour};color:#fff;border-radius:4px;padding:2px 8px"
     title = (
-        f'<b style="{pill}">{fit.status}</b> {escaped(STATUSES[fit.status])};'
+        f'<b style="{pill}">{fit.status}</b> {as_html(STATUSES[fit.status])};'
         f" IoU {fit.iou:.4f}, rms {fit.rms:.2g}"
     )
     way = [stop.camera for stop in fit.history[:-1]]

@@ -129,7 +129,7 @@ def check_gradients(
     for direction in camera_and_scene(point, scales, directions, seed):
         tangent = eqx.tree_at(direction.where, still, jnp.asarray(direction.value))
         derivative = np.asarray(_forward(image, point, tangent), float)
-        images = (np.asarray(middle, float), *_moved(image, fine, direction))
+        images = (np.asarray(middle, float), *_shifted_images(image, fine, direction))
         rows.append(_row(direction, derivative, images, scales, reverse))
     passed = all(row.verdict in RIGHT for row in rows)
     certificate = Certificate(tuple(rows), passed and any(row.verdict == "ok" for row in rows))
@@ -167,7 +167,7 @@ def _reverse(image: Callable, point: Any, seed: int) -> _Reverse:
     return _Reverse(weight.astype(float), _gradient(image, point, jnp.asarray(weight)))
 
 
-def _moved(image: Callable, point: Any, direction: Probe) -> tuple[np.ndarray, np.ndarray]:
+def _shifted_images(image: Callable, point: Any, direction: Probe) -> tuple[np.ndarray, np.ndarray]:
     """Return the images at x + h and at x - h, for each of the steps h."""
     leaf = direction.where(point)
 
