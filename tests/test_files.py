@@ -216,6 +216,7 @@ VIEW = {"type": "perspective", "perspective": {"yfov": 1}, "extras": {"W": 8, "H
 CHAIN = {"nodes": [*NODES, {"camera": 1}], "cameras": [VIEW]}
 DEEP = ["[" * SIZE, fill('{"a":'), '{"a":' + "[" * 500 + "]" * 500 + "}", "[" * 99 + "]" * 99]
 JSON = [
+    "null",
     *DEEP,
     '{"a":' + "9" * SIZE,
     fill('"a":1,', "{", '"b":1}'),
@@ -250,20 +251,14 @@ XML = [
     sensor(fill("aA", "<float name='", "' value='x'/>")),
     f"<default name='{'a' * SIZE}' value='1'/>",
 ]  # fmt: skip
-ID = "IMAGE 0 1 0 0 -1 2 3 CAMERA a.png\n\n"
-FIRST = ID.replace("IMAGE", "1").replace("CAMERA", "1")
+FIRST = "1 0 1 0 0 -1 2 3 1 a.png\n\n"
 MODELS = [
-    *((f"{bad} PINHOLE 8 6 4 4 4 3\n", ID.replace("IMAGE", "1").replace("CAMERA", bad))
-      for bad in ("inf", "1e999", "1.7", "nan", "-1", "9" * 5000, "1e3", "٣", "")),
-    *(("1 PINHOLE 8 6 4 4 4 3\n", ID.replace("IMAGE", bad).replace("CAMERA", "1"))
-      for bad in ("inf", "1e999", "1.7", "-1", "9" * 5000)),
-    *((f"1 PINHOLE {bad} 6 4 4 4 3\n", FIRST)
-      for bad in ("inf", "1e999", "1.7", "1e300", "9" * 5000)),
     (fill("1 "), ""),
     (fill("1 PINHOLE\n"), ""),
+    ("9" * 5000 + " PINHOLE 8 6 4 4 4 3\n", FIRST),
     ("1 PINHOLE 8 6 4 4 4 3\n", fill("1 2 3 ", FIRST[:-1])[:-2]),
     ("1 PINHOLE 8 6 4 4 4 3\n", FIRST * 2),
-]  # fmt: skip
+]
 BOMBS = {
     "json": JSON,
     "transforms.json": JSON,

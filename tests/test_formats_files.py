@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from test_distortion import BROWN, camera as lens_camera
 
 import pinhole_jax as pj
 from pinhole_jax import formats
@@ -401,8 +402,10 @@ def seen(camera):
 
 
 def test_crops_and_resizes_are_those_of_images():
-    crop, resize = formats.cropped, formats.resized
+    crop, resize, bent = formats.cropped, formats.resized, lens_camera(BROWN)
     for camera, film in (
+        (crop(bent, 5, 3, 40, 30), seen(bent) - [5, 3]),
+        (resize(bent, bent.W // 2, bent.H // 4), seen(bent) * [0.5, 0.25]),
         (crop(LENS, 7, -3, 11, 44), seen(LENS) - [7, -3]),
         (crop(CAMERA, 0.25, 1.5, 9, 9), seen(CAMERA) - [0.25, 1.5]),
         (resize(LENS, 45, 10), seen(LENS) * [45 / 30, 10 / 25]),

@@ -5,6 +5,7 @@ import json
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from test_distortion import BROWN, FISHEYE, RATIONAL, camera as lens_camera
 
 import pinhole_jax as pj
 from pinhole_jax import formats
@@ -13,6 +14,9 @@ POINTS = np.random.default_rng(0).normal(size=(20, 3)) * 0.5
 BASE = pj.Camera([1.0, 2, 5], [0.1, 0, 0], [0.3, 1, 0.2], 0.7, 1.0, 64, 49)
 CROP = formats.cropped(BASE, 3, -2, 41, 32)
 CAMERAS = {"base": BASE, "crop": CROP, "stretched": formats.resized(CROP, 33, 50)}
+FOUR = pj.BrownConrady(-0.2, 0.05, 1e-3, -2e-3)
+MODELS = {"brown": BROWN, "four": FOUR, "fisheye": FISHEYE, "rational": RATIONAL}
+LENSES = {name: lens_camera(model) for name, model in MODELS.items()}
 
 
 def image_points(camera, points=POINTS):
@@ -118,12 +122,17 @@ ROUND_TRIPS = {
 }
 
 
+NO_RATIONAL = ("rational", "transforms.json")
+
+
 @pytest.mark.parametrize("name", ROUND_TRIPS)
 def test_round_trips_keep_the_camera(tmp_path, name):
     cameras = ROUND_TRIPS[name]
     groups = [{key: camera} for key, camera in cameras.items()]
     if name != "one.yaml":  # which has one K
         groups.append(cameras)
+    if name in ("own.json", "one.yaml", "model", "transforms.json"):
+        groups += [{key: LENSES[key]} for key in MODELS if (key, name) != NO_RATIONAL]
     for group in groups:
         path = tmp_path / str(len(group)) / next(iter(group)) / name
         formats.write(path, group)
@@ -131,15 +140,34 @@ def test_round_trips_keep_the_camera(tmp_path, name):
         assert list(back) == list(group)
         for key, camera in group.items():
             assert (back[key].W, back[key].H) == (camera.W, camera.H)
+            assert type(back[key].distortion) is type(camera.distortion)
             np.testing.assert_allclose(
                 image_points(back[key]), image_points(camera), rtol=0, atol=1e-10
             )
         assert not [p for p in path.parent.iterdir() if p.name.startswith("tmp")]
 
 
+@pytest.mark.parametrize(
+    ("name", "lens", "message"),
+    [
+        (*NO_RATIONAL[::-1], "expected OpenCV's k1, .* got a Rational"),
+        *(
+            (name, "brown", "expected no lens distortion, .* got a BrownConrady")
+            for name in ("a.gltf", "a.xml", "blender.json", "pytorch3d.json")
+        ),
+    ],
+)
+def test_distortion_that_a_format_cannot_hold_is_refused(tmp_path, name, lens, message):
+    with pytest.raises(ValueError, match=f"`cameras`: {message}"):
+        formats.write(tmp_path / name, {"a": LENSES[lens]})
+    assert not list(tmp_path.iterdir())
+
+
 def test_opencv_reads_our_files_and_projects_alike(tmp_path):
     cv2 = pytest.importorskip("cv2")
-    for name, camera in CAMERAS.items():
+    for name, camera in {**CAMERAS, **LENSES}.items():
+        if name == "fisheye":
+            continue
         path = tmp_path / f"{name}.yaml"
         formats.write_opencv(path, {name: camera})
         storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
@@ -154,17 +182,18 @@ def test_opencv_reads_our_files_and_projects_alike(tmp_path):
 @pytest.mark.parametrize("binary", [False, True])
 def test_colmap_projects_alike_and_its_models_are_read(tmp_path, binary):
     pycolmap = pytest.importorskip("pycolmap")
-    formats.write_colmap(tmp_path / "ours", CAMERAS, binary=binary)
+    cameras = {**CAMERAS, **LENSES}
+    formats.write_colmap(tmp_path / "ours", cameras, binary=binary)
     model = pycolmap.Reconstruction(str(tmp_path / "ours"))
-    assert {image.name for image in model.images.values()} == set(CAMERAS)
+    assert {image.name for image in model.images.values()} == set(cameras)
     for image in model.images.values():
         theirs = np.array([image.project_point(point) for point in POINTS])
-        np.testing.assert_allclose(theirs, image_points(CAMERAS[image.name]), rtol=0, atol=1e-9)
+        np.testing.assert_allclose(theirs, image_points(cameras[image.name]), rtol=0, atol=1e-9)
     (tmp_path / "theirs").mkdir()
     (model.write_binary if binary else model.write_text)(str(tmp_path / "theirs"))
     for name in (".", f"images.{'bin' if binary else 'txt'}"):
         back = formats.read(tmp_path / "theirs" / name)
-        for name, camera in CAMERAS.items():
+        for name, camera in cameras.items():
             np.testing.assert_allclose(image_points(back[name]), image_points(camera), atol=1e-9)
 
 

@@ -183,6 +183,10 @@ OTHERS = {
     "nan.stl": (bytes(80) + struct.pack("<I12fH", 1, *12 * [np.nan], 0), "NaN or infinity"),
     "zero.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n", "vertex 0; they are counted from 1"),
     "beyond.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "with vertices 0 to 2, .* 0 to 8"),
+    "empty.obj": (b"", "empty"),
+    "points.obj": (b"v 0 0 0\nv 1 0 0\n", "with faces, .*: none"),
+    "noise.ply": (b"hello", "no ply at its beginning"),
+    "mesh.txt": (b"v 0 0 0", "one of .dae, .obj"),
     "huge.obj": (b"v 1e400 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "finite vertices"),
 }  # fmt: skip
 
