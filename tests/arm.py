@@ -2,6 +2,7 @@
 
 from functools import cache
 
+import jax
 import numpy as np
 import trimesh
 from oracles import drawn
@@ -70,3 +71,13 @@ def noisy():
     return [
         v._replace(target=np.clip(v.target + n, 0, 1)) for v, n in zip(views(), noise, strict=True)
     ]
+
+
+def check_slope(answer, inputs, velocity, h, tolerance):
+    """The answer's derivative along a velocity, which has to be that of refits."""
+    slope = jax.jvp(answer, tuple(inputs), tuple(velocity))[1]
+    moved = lambda step: answer(*(np.asarray(x + step * v) for x, v in pairs))
+    pairs = [*zip(inputs, velocity, strict=True)]
+    refits = (moved(h) - moved(-h)) / (2 * h)
+    np.testing.assert_allclose(slope, refits, atol=tolerance * np.abs(refits).max())
+    return slope

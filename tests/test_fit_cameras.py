@@ -6,13 +6,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
+from arm import check_slope
 from chosen import full
 from oracles import drawn, turned
 from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
-from pinhole_jax._joint.lenses import alike, known_by_others
+from pinhole_jax._joint.lenses import alike_in_groups, known_by_others
 from pinhole_jax._solver.least_squares import Rows, solve
 
 
@@ -131,17 +132,6 @@ def test_hidden_handle_leaves_the_rotation_of_its_view_free():
 
 
 @pytest.mark.long
-def test_nut_among_views_fits_as_well_one_side_on():
-    """One start is nearer to a camera one side on, the other to the truth."""
-    nut = scene_of(trimesh.creation.cylinder(radius=1, height=0.8, sections=6))
-    cameras = seen_from([(0.5, 4.0, 3.0), (-3.0, 1.0, 4.0)])
-    starts = [turned(c, [0, 0, 1], angle) for c, angle in zip(cameras, (34, 3), strict=True)]
-    for fit, camera in zip(pj.fit_cameras(nut, images(cameras, nut), starts), cameras, strict=True):
-        assert fit.status == "ambiguous"
-        assert min(degrees(f, camera) for f in (fit, *fit.modes)) < 1e-3
-
-
-@pytest.mark.long
 def test_views_help_each_other_and_the_covariance_knows(scene, masks):
     fits = pj.fit_cameras(scene, noisy(masks), STARTS)
     alone = [
@@ -155,20 +145,6 @@ def test_views_help_each_other_and_the_covariance_knows(scene, masks):
     assert abs(float(fits[0].camera.phi) - 0.6) < 4 * phi[0]
     assert all(np.all(f.std < 1.05 * a.std) for f, a in zip(fits, alone, strict=True))
     assert all(f.status == "converged" for f in fits)
-
-
-@pytest.mark.long
-def test_prior_on_shared_intrinsics_counts_once(scene, masks):
-    plain = pj.fit_cameras(scene, noisy(masks), STARTS)
-    mean, std = 0.601, plain[0].std[-1] / 1.5
-    prior, bounds = {"phi": (mean, std)}, {"phi": (0.5, 0.7)}
-    sure = pj.fit_cameras(scene, noisy(masks), STARTS, prior=prior, bounds=bounds)
-    known = np.array([plain[0].std[-1] ** -2, std**-2])
-    expected = known @ [float(plain[0].camera.phi), mean] / known.sum()
-    for fit in sure:
-        assert fit.status == "converged"
-        np.testing.assert_allclose(fit.std[-1], known.sum() ** -0.5, rtol=0.05)
-        assert abs(float(fit.camera.phi) - expected) < 0.1 * std
 
 
 @pytest.mark.long
@@ -211,12 +187,16 @@ def test_partly_free_and_frozen_poses(scene, masks):
 
 
 @pytest.mark.long
-def test_single_view_equals_fit_camera(scene, masks):
+@pytest.mark.parametrize("known", [None, {"phi": (0.604, 0.004), "e_x": (1.0, 3.0)}])
+def test_single_view_equals_fit_camera(scene, masks, known):
     mask = noisy(masks)[0]
-    (one,) = pj.fit_cameras(scene, [mask], STARTS[:1])
-    fit = pj.fit_camera(scene, mask, STARTS[0], ("pose", "phi"))
-    np.testing.assert_allclose(one.camera.e, fit.camera.e, atol=1e-6)
-    np.testing.assert_allclose(one.covariance, fit.covariance, rtol=1e-3)
+    (one,) = pj.fit_cameras(scene, [mask], STARTS[:1], prior=known)
+    fit = pj.fit_camera(scene, mask, STARTS[0], ("pose", "phi"), prior=known)
+    np.testing.assert_allclose(one.camera.e, fit.camera.e, atol=1e-6 if known is None else 1e-4)
+    np.testing.assert_allclose(one.std, fit.std, rtol=2e-3)
+    np.testing.assert_allclose(
+        np.diag(one.independent_covariance), np.diag(fit.independent_covariance), rtol=4e-3
+    )
 
 
 def test_information_of_other_views_equals_elimination():
@@ -273,17 +253,6 @@ def test_spheres_leave_three_one_and_no_directions_free():
         assert f"{rank} of 7 directions are visible" in str(found)
 
 
-@pytest.mark.long
-def test_observability_is_what_the_fit_reports(scene, masks):
-    before = pj.observability(TRUTHS[0], scene, noise=0.02)
-    fit = pj.fit_camera(scene, noisy(masks)[0], STARTS[0], ("pose", "phi"))
-    assert before.names == fit.names
-    np.testing.assert_allclose(before.std, fit.std, rtol=0.15)
-    assert "focal length against the distance" in before.weak[0]
-    with pytest.raises(ValueError, match="`noise`: expected a positive standard deviation"):
-        pj.observability(TRUTHS[0], scene, noise=0.0)
-
-
 # --- through the fit -----------------------------------------------------------------------------
 
 POSE_START = eqx.tree_at(lambda c: c.phi, STARTS[0], TRUTHS[0].phi)
@@ -300,32 +269,11 @@ def test_derivative_by_the_mesh_equals_refits(scene, masks, kind):
 
     vertices = scene.mesh.vertices
     wrong = 0.01 * jnp.asarray(np.random.default_rng(1).normal(size=vertices.shape))
-    slope = jax.jvp(eye, (vertices,), (wrong,))[1]
-    h = 1e-3
-    refits = (eye(vertices + h * wrong) - eye(vertices - h * wrong)) / (2 * h)
     # A fit stops within its tolerance, and the second derivatives of coverage jump.
     tolerance = {"exact": 1e-4, "noisy": 1e-2, "hard": 3e-2}[kind]
-    np.testing.assert_allclose(slope, refits, atol=tolerance * np.abs(refits).max())
+    slope = check_slope(eye, [vertices], [wrong], 1e-3, tolerance)
     gradient = jax.grad(lambda v: eye(v)[0])(vertices)
     np.testing.assert_allclose(jnp.sum(gradient * wrong), slope[0], rtol=1e-6, atol=1e-12)
-
-
-@pytest.mark.full
-def test_derivative_by_target_and_weight_equals_refits(scene, masks):
-    target, weight = jnp.asarray(noisy(masks)[0]), jnp.ones((80, 96))
-    eye = lambda t, w: pj.fit_camera(scene, t, POSE_START, weight=w).camera.e
-    random = np.random.default_rng(2)
-    changes = [
-        jnp.asarray(random.normal(size=(80, 96))),
-        jnp.asarray(random.uniform(size=(80, 96))),
-    ]
-    for k, change in enumerate(changes):
-        velocity = [change if n == k else jnp.zeros((80, 96)) for n in range(2)]
-        slope = jax.jvp(eye, (target, weight), tuple(velocity))[1]
-        h = (1e-4, 1e-3)[k]
-        ends = [eye(target + s * h * velocity[0], weight + s * h * velocity[1]) for s in (1, -1)]
-        refits = (ends[0] - ends[1]) / (2 * h)
-        np.testing.assert_allclose(slope, refits, atol=1e-4 * np.abs(refits).max())
 
 
 def all_numbers(fits):
@@ -333,7 +281,7 @@ def all_numbers(fits):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("free", ["pose", full("position")])
+@pytest.mark.parametrize("free", ["pose", "position"])
 def test_views_move_with_masks_and_weights_as_refits_do(scene, masks, free):
     """Of two views, both of whose masks and one of whose weights change."""
     targets = [jnp.asarray(mask) for mask in noisy(masks[:2])]
@@ -346,13 +294,7 @@ def test_views_move_with_masks_and_weights_as_refits_do(scene, masks, free):
     random = np.random.default_rng(2)
     inputs = [*targets, jnp.ones((80, 96))]
     velocity = [jnp.asarray(random.normal(size=(80, 96))) for _ in inputs]
-    slope, h = jax.jvp(answer, inputs, velocity)[1], 1e-4
-    ends = (
-        answer(*(np.asarray(x + s * h * v) for x, v in zip(inputs, velocity, strict=True)))
-        for s in (1, -1)
-    )
-    refits = np.subtract(*ends) / (2 * h)
-    np.testing.assert_allclose(slope, refits, atol=1e-3 * np.abs(refits).max())
+    check_slope(answer, inputs, velocity, 1e-4, 1e-3)
 
 
 @pytest.mark.full
@@ -382,6 +324,8 @@ def test_fit_under_jit_is_refused(scene, masks):
 def test_views_of_different_lenses_share_only_what_both_have():
     plain = pj.Camera([0.0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 8, 6)
     bent = plain.replace(phi=0.8, lens=pj.Lens([4, 3], distortion=pj.BrownConrady(0.1)))
-    assert {float(c.phi) for c in alike([plain, bent], ("phi",))} == {0.7}
+    both = {"plain": plain, "bent": bent}
+    same = alike_in_groups(both, {"phi": [("plain", "bent")]})
+    assert {float(c.phi) for c in same.values()} == {0.7}
     with pytest.raises(ValueError, match="expected distortions of one kind to share, got Brown"):
-        alike([plain, bent], ("phi", "k1"))
+        alike_in_groups(both, {"k1": [("plain", "bent")]})

@@ -5,11 +5,11 @@ import warnings
 from pathlib import Path
 
 import cv2
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from arm import check_slope
 from chosen import full, long, on_cpu
 
 import pinhole_jax as pj
@@ -28,17 +28,25 @@ def camera(eye, model=BROWN):
     return pj.Camera(eye, [0.1, 0, 0], [0.1, 1, 0.05], 0.75, W=W, H=H, lens=lens)
 
 
+def near(eye, phi=0.75):
+    return pj.Camera(eye, [0.1, 0, 0], [0.1, 1, 0.05], phi, W=W, H=H)
+
+
+def apart(a, b):
+    """Radians and world units between two cameras."""
+    return [float(x) for x in pj.pose_error(a, b)]
+
+
 def seen(cameras, points):
     return np.stack([np.asarray(pj.project(c, jnp.asarray(points))) for c in cameras])
 
 
 def test_single_view_gives_pose_and_focal_length_without_a_start():
-    truth = pj.Camera(EYES[1], [0.1, 0, 0], [0.1, 1, 0.05], 0.75, W=W, H=H)
+    truth = near(EYES[1])
     fit = pj.fit_points(SOLID, seen([truth], SOLID)[0], START, free=("pose", "phi"))
     assert fit.status == "converged"
     assert fit.names[-1] == "phi"
-    angle, shift = pj.pose_error(fit.camera, truth)
-    assert max(float(angle), float(shift), abs(float(fit.camera.phi - truth.phi))) < 1e-9
+    assert max(*apart(fit.camera, truth), abs(float(fit.camera.phi - truth.phi))) < 1e-9
     assert fit.rms_px < 1e-8
     assert repr(fit).startswith("<PointFit: converged, rms")
     for words in ("pitch", "vertical field of view", "status     converged", "rms  "):
@@ -48,7 +56,7 @@ def test_single_view_gives_pose_and_focal_length_without_a_start():
 @on_cpu
 def test_numbers_of_points_share_one_program(compiled):
     """Boards that are seen in part, cloud after cloud: each was 4 s."""
-    truth = pj.Camera(EYES[1], [0.1, 0, 0], [0.1, 1, 0.05], 0.75, W=W, H=H)
+    truth = near(EYES[1])
     counts = []
     for number in (30, 7, 19, 30):
         points = SOLID[:: 30 // number][:number]
@@ -59,7 +67,7 @@ def test_numbers_of_points_share_one_program(compiled):
 
 
 def test_points_in_float64_are_no_matter_to_warn_of_where_jax_has_float32():
-    truth = pj.Camera(EYES[1], [0.1, 0, 0], [0.1, 1, 0.05], 0.85, W=W, H=H)
+    truth = near(EYES[1], 0.85)
     seen_at = seen([truth], SOLID)[0]
     single = jax.tree.map(lambda x: np.asarray(x, np.float32), START)
     jax.config.update("jax_enable_x64", False)
@@ -83,7 +91,7 @@ def test_views_share_their_intrinsics():
     fits = pj.fit_points(PLANE, points2d, START)
     assert [f.status for f in fits] == ["converged"] * 4
     for fit, true in zip(fits, truth, strict=True):
-        assert max(float(x) for x in pj.pose_error(fit.camera, true)) < 1e-6
+        assert max(apart(fit.camera, true)) < 1e-6
         lens = fit.camera.lens
         np.testing.assert_allclose(lens.principal_point, true.lens.principal_point, atol=1e-5)
         for name, value in BROWN.coefficients().items():
@@ -92,28 +100,27 @@ def test_views_share_their_intrinsics():
     np.testing.assert_allclose(same, same[0], rtol=1e-12)
 
 
+def rotated(vector, point):
+    """A point turned about an axis of the world, by the vector's length."""
+    return cv2.Rodrigues(np.asarray(vector))[0] @ np.asarray(point)
+
+
 def test_error_bars_are_those_of_the_linearised_problem():
     """By differences of projected points: sigma^2 (J^T J)^-1 with all columns in natural units."""
-    truth = pj.Camera(EYES[0], [0.1, 0, 0], [0.1, 1, 0.05], 0.75, W=W, H=H)
+    truth = near(EYES[0])
     rng = np.random.default_rng(0)
     points2d = seen([truth], SOLID)[0] + rng.normal(0, 0.1, (30, 2))
     fit = pj.fit_points(SOLID, points2d, START, free=("pose", "phi"))
-    columns = []
-    for k in range(7):
-
-        def moved(step, k=k):
-            e, p, u = (np.asarray(x, float) for x in (fit.camera.e, fit.camera.p, fit.camera.u))
-            if k < 3:  # turn about the eye, world axes
-                axis = np.eye(3)[k]
-                p, u = e + (p - e) + step * np.cross(axis, p - e), u + step * np.cross(axis, u)
-            elif k < 6:
-                e, p = e + step * np.eye(3)[k - 3], p + step * np.eye(3)[k - 3]
-            phi = float(fit.camera.phi) + (step if k == 6 else 0)
-            there = pj.Camera(e, p, u, phi, W=W, H=H)
-            return seen([there], SOLID)[0].ravel()
-
-        columns.append((moved(1e-5) - moved(-1e-5)) / 2e-5)
-    J = np.stack(columns, axis=-1)
+    place = lambda x: fit.camera.replace(
+        e=x[3:6],
+        p=x[3:6] + rotated(x[:3], fit.camera.p - fit.camera.e),
+        u=rotated(x[:3], fit.camera.u),
+        phi=x[6],
+    )
+    here = np.array([0, 0, 0, *fit.camera.e, fit.camera.phi])
+    steps = 1e-5 * np.eye(7)
+    moved = lambda step: seen([place(here + step)], SOLID)[0].ravel()
+    J = np.stack([(moved(step) - moved(-step)) / 2e-5 for step in steps], axis=-1)
     rest = (points2d - seen([fit.camera], SOLID)[0]).ravel()
     np.testing.assert_allclose(J.T @ rest, 0, atol=1e-3 * np.linalg.norm(J))
     cov = np.linalg.inv(J.T @ J) * (rest @ rest) / (60 - 7)
@@ -124,7 +131,7 @@ def test_error_bars_are_those_of_the_linearised_problem():
 @pytest.mark.parametrize("common", [("phi",), ()])
 def test_prior_counts_once(common):
     """Of what views share once, else to each view: the estimate is the precision-weighted mean."""
-    truth = [pj.Camera(e, [0.1, 0, 0], [0.1, 1, 0.05], 0.75, W=W, H=H) for e in EYES]
+    truth = [near(e) for e in EYES]
     noise = np.random.default_rng(1).normal(0, 0.2, (4, 30, 2))
     points2d, own = seen(truth, SOLID) + noise, ("pose",) if common else ("pose", "phi")
     plain = pj.fit_points(SOLID, points2d, START, own, common)
@@ -155,10 +162,6 @@ def test_points_keep_bounds():
         assert -0.1 <= float(h.camera.lens.distortion.k1) < -0.099
 
 
-def near(eye):
-    return pj.Camera(eye, [0.1, 0, 0], [0.1, 1, 0.05], 0.75, W=W, H=H)
-
-
 def numbers(fits):
     """Return eyes, view points and fields of view."""
     return jnp.concatenate([jnp.stack([*f.camera.e, *f.camera.p, f.camera.phi]) for f in fits])
@@ -178,14 +181,7 @@ def test_cameras_move_with_points_and_weights_as_refits_do(common):
     )
     inputs = [jnp.asarray(x) for x in (SOLID, points2d, weights)]
     velocity = [jnp.asarray(random.normal(size=x.shape)) for x in inputs]
-    slope = jax.jvp(answer, inputs, velocity)[1]
-    h = 1e-4
-    ends = (
-        answer(*(np.asarray(x + s * h * v) for x, v in zip(inputs, velocity, strict=True)))
-        for s in (1, -1)
-    )
-    refits = np.subtract(*ends) / (2 * h)
-    np.testing.assert_allclose(slope, refits, atol=1e-4 * np.abs(refits).max())
+    check_slope(answer, inputs, velocity, 1e-4, 1e-4)
     gradient = jax.grad(lambda x: answer(inputs[0], x, inputs[2])[-1])(inputs[1])
     assert np.all(np.isfinite(gradient))
     assert np.all(gradient[1, 3] == 0)
@@ -209,7 +205,7 @@ def test_weight_of_two_equals_a_point_seen_twice():
     once = pj.fit_points(SOLID, points2d, start, weights=1e-4 * weights)
     rows = np.concatenate([np.arange(30), np.arange(10)])
     twice = pj.fit_points(SOLID[rows], points2d[rows], start)
-    assert max(float(x) for x in pj.pose_error(once.camera, twice.camera)) < 1e-7
+    assert max(apart(once.camera, twice.camera)) < 1e-7
     np.testing.assert_allclose(once.rms_px, twice.rms_px, rtol=1e-7)
     np.testing.assert_allclose(once.std / twice.std, ((80 - 6) / (60 - 6)) ** 0.5, rtol=1e-6)
 
@@ -226,13 +222,13 @@ def test_points_that_are_somewhere_else_do_not_count(points):
     fit = pj.fit_points(points, points2d, start, outlier_px=0.6, progress=told.append)
     only = pj.fit_points(points[good], points2d[good], start)
     assert fit.status == only.status == "converged"
-    assert max(float(x) for x in pj.pose_error(fit.camera, only.camera)) < 1e-6
+    assert max(apart(fit.camera, only.camera)) < 1e-6
     assert fit.weak == ("12 of 30 points are far from where they are seen, and left out",)
     assert (len(told), told[0][:9]) == (4, "1 views: ")
     assert [len(fit.history), fit.history[0].steps, only.history[-1].steps] == [5, 0, only.steps]
     assert sum(stop.steps for stop in fit.history) == fit.steps
-    assert max(pj.pose_error(fit.history[-1].camera, fit.camera)) < 1e-12
-    assert float(pj.pose_error(pj.fit_points(points, points2d, start).camera, truth)[0]) > 0.05
+    assert max(apart(fit.history[-1].camera, fit.camera)) < 1e-12
+    assert apart(pj.fit_points(points, points2d, start).camera, truth)[0] > 0.05
 
 
 @pytest.mark.parametrize("common", [("phi",), long(())])
@@ -244,15 +240,15 @@ def test_distant_plane_is_ambiguous_by_reversed_depths(common, exhaustive):
     for fit, true in zip(fits, truth, strict=True):
         assert (fit.status, len(fit.modes)) == ("ambiguous", 1)
         poses = [fit.camera, fit.modes[0].camera]
-        assert min(float(pj.pose_error(c, true)[0]) for c in poses) < 0.15
-        assert float(pj.pose_error(*poses)[0]) > 0.5
+        assert min(apart(c, true)[0] for c in poses) < 0.15
+        assert apart(*poses)[0] > 0.5
     for _ in range(40 if exhaustive else 15):
         points2d = seen(truth, PLANE) + random.normal(0, 0.3, (2, 30, 2))
         for fit, true in zip(
             pj.fit_points(PLANE, points2d, truth, "pose", common), truth, strict=True
         ):
             assert (fit.status, fit.modes) == ("converged", ())
-            assert float(pj.pose_error(fit.camera, true)[0]) < 0.05
+            assert apart(fit.camera, true)[0] < 0.05
 
 
 def by_opencv(points, points2d, true):
@@ -284,8 +280,8 @@ def tumbled(rng):
 def turned(true, rng, degrees):
     """Return the camera turned about the origin by so many degrees about any axis."""
     axis = rng.normal(size=3)
-    R = cv2.Rodrigues(np.deg2rad(degrees) * axis / np.linalg.norm(axis))[0]
-    return true.replace(**{k: R @ np.asarray(getattr(true, k)) for k in ("e", "p", "u")})
+    turn = np.deg2rad(degrees) * axis / np.linalg.norm(axis)
+    return true.replace(**{k: rotated(turn, getattr(true, k)) for k in ("e", "p", "u")})
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -303,7 +299,7 @@ def test_three_points_have_all_their_exact_poses_as_modes(seed):
             assert min(np.abs(rotation_of(f.camera) - rotation).max() for f in fits) < 1e-5
         assert all(f.rms_px < 1e-5 and np.all(np.isinf(f.std)) for f in fits)
         assert fit.status == ("ambiguous" if fit.modes else "unchecked")
-        away = [float(pj.pose_error(f.camera, start)[0]) for f in fits]
+        away = [apart(f.camera, start)[0] for f in fits]
         assert away == sorted(away)
         if k == 0:
             assert away[0] < 1e-6
@@ -325,6 +321,8 @@ def test_error_bars_are_infinite_where_no_coordinate_is_left_over(number, free):
     fit = pj.fit_points(points, points2d, true, free)
     assert fit.status in ("unchecked", "ambiguous")
     assert np.all(np.isinf(fit.std))
+    known = pj.fit_points(points, points2d, true, free, noise_px=0.1)
+    assert np.all(np.isfinite(known.std))
     assert f"{2 * number} coordinates for {2 * number} unknowns: none is left over" in fit.weak[-1]
     # Points that are given again tell nothing new.
     again = np.arange(number).repeat(3)
@@ -346,22 +344,6 @@ def test_views_with_no_coordinate_left_over_together_are_unchecked():
     many, few = pj.fit_points(points, points2d, true, shared=())
     assert (many.status, few.status) == ("converged", "ambiguous")
     assert np.all(np.isfinite(few.std))
-
-
-@pytest.mark.parametrize(
-    ("number", "free"), [(3, "pose"), long(4, ("pose", "phi", "aspect"))], ids=["three", "four"]
-)
-def test_error_bars_of_a_stated_noise_are_those_of_refits(number, free):
-    """Where nothing is left over: by the spread of 60 fits, which is good to 9 %."""
-    rng, true = np.random.default_rng(1), near(EYES[0])
-    points, noise = SOLID[[0, 5, 14, 27]][:number], 0.01
-    points2d = seen([true], points)[0] + rng.normal(0, noise, (60, number, 2))
-    fits = [pj.fit_points(points, x, true, free, noise_px=noise) for x in points2d]
-    places = [fits[0].names.index(f"e_{x}") for x in "xyz"]
-    eyes = np.array([f.camera.e for f in fits])
-    std = np.mean([f.std[places] for f in fits], axis=0)
-    np.testing.assert_allclose(eyes.std(axis=0), std, rtol=0.3)
-    assert {f.status for f in fits} <= {"converged", "ambiguous"}
 
 
 def test_weights_of_inverse_variances_take_a_noise_of_one():
@@ -403,7 +385,7 @@ def test_few_points_are_found_from_any_start_or_not_called_converged():
         noise = 0.1 * (k % 2)
         points2d = seen([true], points)[0] + rng.normal(0, 1, (number, 2)) * noise
         fit = pj.fit_points(points, points2d, turned(true, rng, rng.uniform(90, 180)))
-        off = [float(pj.pose_error(f.camera, true)[0]) for f in (fit, *fit.modes)]
+        off = [apart(f.camera, true)[0] for f in (fit, *fit.modes)]
         sigma = float(np.linalg.norm(fit.std[:3]))
         right += fit.status == "converged"
         assert fit.status in ("converged", "ambiguous", "uncertain")
@@ -419,20 +401,6 @@ def test_fewer_coordinates_than_unknowns_are_rank_deficient():
     assert fit.status == "rank_deficient"
     assert np.all(np.isinf(fit.std))
     assert "6 coordinates for 7 unknowns" in fit.weak[-1]
-
-
-def test_three_places_that_are_seen_again_and_again_keep_their_poses():
-    """What is seen ten times shows how points err, and no more of where the camera is."""
-    rng, true = np.random.default_rng(8), tumbled(np.random.default_rng(1))
-    points = np.random.default_rng(0).uniform(-1, 1, (3, 3))
-    exact = by_opencv(points, seen([true], points)[0], true)
-    many = np.arange(3).repeat(10)
-    points2d = seen([true], points)[0][many] + rng.normal(0, 0.01, (30, 2))
-    fit = pj.fit_points(points[many], points2d, true)
-    assert len(exact) > 1
-    assert fit.status == "ambiguous"
-    assert len(fit.modes) == len(exact) - 1
-    np.testing.assert_allclose(fit.rms_px, 0.01 * 2**0.5, rtol=0.3)
 
 
 def test_points_that_are_not_these_are_a_misfit():
@@ -466,7 +434,7 @@ def test_parts_of_the_pose_are_found_from_any_start(part):
             start = start.replace(p=start.e + np.asarray(true.p) - np.asarray(true.e))
         fit = pj.fit_points(points, seen([true], points)[0], start, part)
         assert fit.status == "converged"
-        assert max(float(x) for x in pj.pose_error(fit.camera, true)) < 1e-6
+        assert max(apart(fit.camera, true)) < 1e-6
 
 
 @pytest.mark.parametrize(
@@ -505,13 +473,7 @@ def test_chessboards_are_calibrated_as_opencv_calibrates_them(shared):
     assert ours["rms_px"] <= theirs["rms_px"] * 1.0001
     assert abs(ours["focal_px"] / theirs["focal_px"] - 1) < 1e-3
     assert abs(ours["k1"] - theirs["k1"]) < 0.01
-    # All views have one intrinsics block.
-    assert (
-        len({float(f.camera.phi) for f in fits}) == 1
-        or np.ptp([float(f.camera.phi) for f in fits]) < 1e-12
-    )
+    assert np.ptp([float(f.camera.phi) for f in fits]) < 1e-12
     # What OpenCV's own file says, made by another version from the same photos.
     assert abs(ours["focal_px"] / 535.916 - 1) < 1e-3
     assert abs(ours["k1"] + 0.26637) < 0.01
-    lens = eqx.filter(fits[0].camera.lens, eqx.is_inexact_array)
-    assert lens.distortion.k1.dtype == np.float64

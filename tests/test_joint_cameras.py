@@ -107,34 +107,6 @@ def test_hand_eye_camera_is_found(scenes):
 
 
 @pytest.mark.full
-def test_rig_is_better_determined_than_its_eyes(stereo):
-    right = at_pose(TRUTH, pose_of(RIGHT) @ OFF)
-    together = pj.fit_joint(stereo, {"left": START, "right": right}, rig=RIG)
-    alone = pj.fit_joint(stereo, {"left": START, "right": right})
-    for fit in (together, alone):
-        assert fit.status == "converged"
-        assert max(apart(fit.cameras["left"].camera, TRUTH)) < 1e-8
-        assert max(apart(fit.cameras["right"].camera, RIGHT)) < 1e-8
-    least = lambda fit: fit.cameras["left"].independent_covariance
-    assert np.all(
-        np.linalg.eigvalsh(np.linalg.inv(least(together)) - np.linalg.inv(least(alone))) > 0
-    )
-
-
-@pytest.mark.long
-def test_prior_on_a_camera_counts_as_in_fit_camera(noisy):
-    known = {"phi": (0.604, 0.004), "e_x": (0.42, 0.02)}
-    asked = START, ("pose", "phi")
-    one = pj.fit_camera(noisy[0].scene, noisy[0].target, *asked, prior=known)
-    joint = pj.fit_joint(noisy[:1], *asked, prior=known).cameras["camera"]
-    assert np.allclose(joint.std, one.std, rtol=2e-3)
-    assert max(apart(joint.camera, one.camera)) < 0.02 * np.min(one.std)
-    assert abs(float(joint.camera.phi - one.camera.phi)) < 0.01 * one.std[-1]
-    told = np.diag(joint.independent_covariance) / np.diag(one.independent_covariance)
-    assert np.allclose(told, 1, rtol=4e-3)
-
-
-@pytest.mark.full
 def test_bounds_hold_what_the_masks_would_have_elsewhere(noisy):
     fit = pj.fit_joint(noisy[:2], START, ("pose", "phi"), bounds={"phi": (0.61, 0.7)})
     found = fit.cameras["camera"]

@@ -119,135 +119,94 @@ def hinged():
     return pj.Posture(pj.Assembly([shapes.bumpy(1)]), turned_by, {"hinge": "rad"})
 
 
-def one(views, **change):
-    """One view, something of it changed."""
-    return {"views": [views[0]._replace(**change)]}
+BOTH, NOWHERE, HERE = {"camera": TRUTH, "other": TRUTH}, {"part": np.eye(4)}, np.eye(4)
+
+#: What is wrong: the message, changes of each view, and other arguments.
+WRONG = [
+    ("`views`: expected at least one JointView", [], {}),
+    ("`cameras`: expected left among them, got camera", [{"camera": "left"}], {}),
+    ("`cameras`: expected what a view names, got other", [{}], {"cameras": BOTH}),
+    ("`objects`: expected part among them, got none", [{"object": "part"}], {}),
+    (r"`views\[0\].mount`: expected shape \(4, 4\)", [{"mount": np.eye(3)}], {}),
+    (r"`views\[0\].placed`: expected a rotation and a", [{"placed": 2 * HERE}], {}),
+    (r"`rig\['left'\]`: expected a matrix", [{}], {"rig": {"left": "here"}}),
+    (r"`views\[0\]`: `target`: expected the camera's", [{"target": np.ones((2, 3))}], {}),
+    ("`free`: expected something to fit, got none", [{}], {"free": ()}),
+    ("`search`: expected one unknown pose", [{}], {"free": "phi", "search": True}),
+    (
+        r"`views\[1\]`: expected a view of something unknown",
+        [{"object": "part"}, {}],
+        {"free": (), "objects": NOWHERE},
+    ),
+    (
+        "`cameras`: expected names other than 'rig'",
+        [{"camera": "rig"}, {"camera": "left"}],
+        {"cameras": {"rig": TRUTH, "left": TRUTH}, "rig": {"left": HERE}},
+    ),
+    (r"`views\[0\].scale`: expected a name that no camera", [{"scale": "camera"}], {}),
+    (
+        "`prior`: expected a positive scale of 'size', got -1.0",
+        [{"scale": "size"}],
+        {"prior": {"size": {"scale": (-1, 0.1)}}},
+    ),
+    (
+        "`prior`: expected free parameters among scale, got 'x'",
+        [{"scale": "size"}],
+        {"prior": {"size": {"x": (0, 0.1)}}},
+    ),
+    ("`outlier_px`: expected a positive", [{}], {"outlier_px": -1.0}),
+    ("`shared`: expected names among phi, .* got pose", [{}], {"shared": "pose"}),
+    (
+        "`shared`: expected groups of cameras among camera, got 'left'",
+        [{}],
+        {"shared": {"phi": [("camera", "left")]}},
+    ),
+    (
+        "`shared`: expected each camera in one group of phi, got more",
+        [{}],
+        {"shared": {"phi": [("camera",), ("camera",)]}},
+    ),
+    (
+        "`bounds`: expected the same of phi for camera and other, which share it",
+        [{}, {"camera": "other"}],
+        {"cameras": BOTH, "shared": "phi", "bounds": {"other": {"phi": (0.5, 0.7)}}},
+    ),
+    ("`max_steps`: expected an integer", [{}], {"max_steps": 0}),
+    (
+        "`prior`: expected free parameters among e_x, e_y, e_z, got 'phi'",
+        [{}],
+        {"prior": {"phi": (0.6, 0.1)}},
+    ),
+    (
+        "`prior`: expected names among camera, got 'left'",
+        [{}],
+        {"prior": {"left": {"e_x": (0, 1)}}},
+    ),
+    (
+        "`prior`: expected a positive deviation of 'x', got 0.0",
+        [{"object": "part"}],
+        {"objects": NOWHERE, "free": (), "prior": {"part": {"x": (0, 0)}}},
+    ),
+    ("`joint_zeros`: expected views with a `posture`", [{}], {"joint_zeros": 0.01}),
+    (
+        r"`joint_zeros`: expected no `mount` beside a `posture`.*views\[0\]",
+        [{"posture": hinged(), "mount": HERE}],
+        {"joint_zeros": 0.01},
+    ),
+    (r"`views\[0\].posture`: expected a Posture or None, got list", [{"posture": [0.1]}], {}),
+    (
+        "`bounds`: expected low < high of 'phi'",
+        [{}],
+        {"free": ("pose", "phi"), "bounds": {"phi": (1, 0.5)}},
+    ),
+]
 
 
-BOTH = {"camera": TRUTH, "other": TRUTH}
-
-
-@pytest.mark.parametrize(
-    ("words", "change"),
-    [
-        (r"`views`: expected at least one JointView", lambda v: {"views": []}),
-        (
-            r"`cameras`: expected left among them, got camera",
-            lambda v: one(v, camera="left"),
-        ),
-        (
-            r"`cameras`: expected what a view names, got other",
-            lambda v: {"cameras": {"camera": TRUTH, "other": TRUTH}},
-        ),
-        (
-            r"`objects`: expected part among them, got none",
-            lambda v: one(v, object="part"),
-        ),
-        (
-            r"`views\[0\].mount`: expected shape \(4, 4\)",
-            lambda v: one(v, mount=np.eye(3)),
-        ),
-        (
-            r"`views\[0\].placed`: expected a rotation and a",
-            lambda v: one(v, placed=2 * np.eye(4)),
-        ),
-        (r"`rig\['left'\]`: expected a matrix", lambda v: {"rig": {"left": "here"}}),
-        (
-            r"`views\[0\]`: `target`: expected the camera's shape",
-            lambda v: one(v, target=np.ones((2, 3))),
-        ),
-        (r"`free`: expected something to fit, got none", lambda v: {"free": ()}),
-        (r"`search`: expected one unknown pose", lambda v: {"free": "phi", "search": True}),
-        (
-            r"`views\[1\]`: expected a view of something unknown",
-            lambda v: {
-                "views": [v[0]._replace(object="part"), v[1]],
-                "free": (),
-                "objects": {"part": np.eye(4)},
-            },
-        ),
-        (
-            r"`cameras`: expected names other than 'rig'",
-            lambda v: {
-                "views": [v[0]._replace(camera="rig"), v[1]._replace(camera="left")],
-                "cameras": {"rig": TRUTH, "left": TRUTH},
-                "rig": {"left": np.eye(4)},
-            },
-        ),
-        (
-            r"`views\[0\].scale`: expected a name that no camera has, got 'camera'",
-            lambda v: one(v, scale="camera"),
-        ),
-        (
-            r"`prior`: expected a positive scale of 'size', got -1.0",
-            lambda v: {**one(v, scale="size"), "prior": {"size": {"scale": (-1, 0.1)}}},
-        ),
-        (
-            r"`prior`: expected free parameters among scale, got 'x'",
-            lambda v: {**one(v, scale="size"), "prior": {"size": {"x": (0, 0.1)}}},
-        ),
-        (r"`outlier_px`: expected a positive", lambda v: {"outlier_px": -1.0}),
-        (r"`shared`: expected names among phi, .* got pose", lambda v: {"shared": "pose"}),
-        (
-            r"`shared`: expected groups of cameras among camera, got 'left'",
-            lambda v: {"shared": {"phi": [("camera", "left")]}},
-        ),
-        (
-            r"`shared`: expected each camera in one group of phi, got more",
-            lambda v: {"shared": {"phi": [("camera",), ("camera",)]}},
-        ),
-        (
-            r"`bounds`: expected the same of phi for camera and other, which share it",
-            lambda v: {
-                "views": [v[0], v[1]._replace(camera="other")],
-                "cameras": BOTH,
-                "shared": "phi",
-                "bounds": {"other": {"phi": (0.5, 0.7)}},
-            },
-        ),
-        (r"`max_steps`: expected an integer", lambda v: {"max_steps": 0}),
-        (
-            r"`prior`: expected free parameters among e_x, e_y, e_z, got 'phi'",
-            lambda v: {"prior": {"phi": (0.6, 0.1)}},
-        ),
-        (
-            r"`prior`: expected names among camera, got 'left'",
-            lambda v: {"prior": {"left": {"e_x": (0, 1)}}},
-        ),
-        (
-            r"`prior`: expected a positive deviation of 'x', got 0.0",
-            lambda v: {
-                **one(v, object="part"),
-                "objects": {"part": np.eye(4)},
-                "free": (),
-                "prior": {"part": {"x": (0, 0)}},
-            },
-        ),
-        (
-            r"`joint_zeros`: expected views with a `posture`, got none",
-            lambda v: {"joint_zeros": 0.01},
-        ),
-        (
-            r"`joint_zeros`: expected no `mount` beside a `posture`.*views\[0\]",
-            lambda v: {
-                **one(v, posture=hinged(), mount=np.eye(4)),
-                "joint_zeros": 0.01,
-            },
-        ),
-        (
-            r"`views\[0\].posture`: expected a Posture or None, got list",
-            lambda v: one(v, posture=[0.1]),
-        ),
-        (
-            r"`bounds`: expected low < high of 'phi'",
-            lambda v: {"free": ("pose", "phi"), "bounds": {"phi": (1, 0.5)}},
-        ),
-    ],
-)
-def test_wrong_arguments_are_named(views, words, change):
-    arguments = {"views": views[:1], "cameras": TRUTH, **change(views)}
+@pytest.mark.parametrize(("words", "changes", "arguments"), WRONG)
+def test_wrong_arguments_are_named(views, words, changes, arguments):
+    changed = [view._replace(**change) for view, change in zip(views, changes, strict=False)]
     with pytest.raises(ValueError, match=words):
-        pj.fit_joint(**arguments)
+        pj.fit_joint(**{"views": changed, "cameras": TRUTH, **arguments})
 
 
 def test_mesh_with_unshared_vertices_warns():

@@ -1,6 +1,6 @@
 """`observability`: what a mask of this scene could tell of a camera, before any mask is taken."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -71,22 +71,32 @@ def observability(
     print(told)
     ```
     """
+    freed, camera, triangle, reported, blind = _look(camera, scene, free, weight)
+    _, weak = weak_directions(triangle, components(freed), axes_of(camera), blind)
+    by_px = triangle / UNIT_PX, reported / UNIT_PX
+    return observability_of(labels_of(freed), *by_px, noise, blind, weak)
+
+
+def observability_of(
+    names: tuple[str, ...],
+    triangle: np.ndarray,
+    reported: np.ndarray,
+    noise: float,
+    blind: float,
+    weak: Iterable[str],
+) -> Observability:
+    """The observability of parameters that are `reported` (p, n), by moves of about a pixel; R (n,
+    n) of J = QR is by these.
+
+    Raises ValueError for a `noise` that is not positive.
+    """
     if not noise > 0:
         raise ValueError(f"`noise`: expected a positive standard deviation, got {noise}")
-    freed, camera, triangle, reported, blind = _look(camera, scene, free, weight)
-    labels = labels_of(freed)
     values = np.linalg.svd(triangle, compute_uv=False)
     cov = covariance(triangle, reported, noise**2 * triangle.T @ triangle, blind)
-    _, weak = weak_directions(triangle, components(freed), axes_of(camera), blind)
-    return Observability(
-        names=labels,
-        rank=int(np.sum(values > blind * max(values[0], np.finfo(float).tiny))),
-        of=len(labels),
-        values=values / UNIT_PX,
-        std=np.sqrt(np.diag(cov)),
-        covariance=cov,
-        weak=weak,
-    )
+    rank = int(np.sum(values > blind * max(values[0], np.finfo(float).tiny)))
+    std = np.sqrt(np.diag(cov))
+    return Observability(names, rank, len(values), values, std, cov, tuple(weak))
 
 
 def information(

@@ -13,7 +13,7 @@ Views weighed by their G (Hansen's generalised moments, 1982) were tried in plac
 robot's ten masks the eye moved by 6 mm with where the descent began, and it was no nearer.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -27,6 +27,7 @@ from .._solver.parameters import components
 from .._solver.problem import FINE_PX, UNIT_PX
 from .._solver.solver import Solver
 from .._solver.uncertainty import BLIND
+from .estimates import Estimates, forget
 from .system import JointProblem, ViewRows
 
 #: Degrees of freedom of the t distribution of views' residuals: a few bad views count for little.
@@ -114,6 +115,22 @@ class Agreement:
         variance = max(variance, *(eye.solver.kind.least for eye in self.problem.eyes))
         by_masks = variance * self.solved.inverse(place, place)
         return by_masks + self._by_priors.covariance(place, self.noise**2 - variance)
+
+    def covariance_of(self, told: Estimates) -> np.ndarray:
+        """The covariance (p, p) of reported numbers; infinite, with no covariances, where they move
+        along directions that change no mask."""
+        return self._carried(told, self.covariance)
+
+    def independent_of(self, told: Estimates) -> np.ndarray:
+        """`covariance_of` were the residuals independent and of one variance."""
+        return self._carried(told, self.independent)
+
+    def _carried(
+        self, told: Estimates, covariance: Callable[[np.ndarray], np.ndarray]
+    ) -> np.ndarray:
+        result = told.by_unknowns @ covariance(told.place) @ told.by_unknowns.T
+        forget(result, told.by_unknowns @ self.unseen[told.place])
+        return result
 
     @cached_property
     def unseen(self) -> np.ndarray:
@@ -213,24 +230,19 @@ def _agreement(problem: JointProblem, found: Descent, counts: np.ndarray) -> Agr
     ]
     noise = problem.noise(seen)
     prior_rows = problem.prior_rows(found.state, seen, noise)
-    errors = [e.solver.errors(s.view) for e, s in zip(problem.eyes, seen, strict=True)]
-    gradients = [
-        _gradient(e.solver, s, x) for e, s, x in zip(problem.eyes, seen, errors, strict=True)
-    ]
-    distances = [
-        _distance(e.solver, s, x) for e, s, x in zip(problem.eyes, seen, gradients, strict=True)
-    ]
-    squares, ranks = np.array(distances).T
+    rows = []
+    for eye, s in zip(problem.eyes, seen, strict=True):
+        errors = eye.solver.errors(s.view)
+        gradient = _gradient(eye.solver, s, errors)
+        misfit = max(s.view.touched_misfit, eye.solver.kind.least)
+        rows.append((errors, gradient, misfit, *_distance(eye.solver, s, gradient)))
+    errors, gradients, misfits, squares, ranks = map(list, zip(*rows, strict=True))
 
-    freedom = int(ranks.sum()) + sum(len(part.left) for part in prior_rows) - problem.size
+    freedom = sum(ranks) + sum(len(part.left) for part in prior_rows) - problem.size
     freedom = max(freedom, 1)
     of_priors = sum(part.squares for part in prior_rows) / noise**2
-    excess = max((float(problem.weights @ squares) + of_priors) / freedom, 1.0) ** 0.5
-    misfit = [
-        max(s.view.touched_misfit, e.solver.kind.least)
-        for e, s in zip(problem.eyes, seen, strict=True)
-    ]
-    misfit = np.array(misfit) * counts
+    excess = max((float(problem.weights @ np.array(squares)) + of_priors) / freedom, 1.0) ** 0.5
+    misfit = np.array(misfits) * counts
     prior_rows = [part.without(held) for part in prior_rows]
     return Agreement(
         problem=problem,
@@ -243,7 +255,7 @@ def _agreement(problem: JointProblem, found: Descent, counts: np.ndarray) -> Agr
         errors=errors,
         prior_rows=prior_rows,
         noise=noise,
-        sigma=np.array([_sigma(*pair) for pair in distances]),
+        sigma=np.array([*map(_sigma, squares, ranks)]),
     )
 
 

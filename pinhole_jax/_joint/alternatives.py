@@ -6,8 +6,9 @@ moves, or views that look alike, explain it as well or better? What the other vi
 that they share is among its residuals then, linear in its parameters.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -42,7 +43,7 @@ from .._solver.priors import Others
 from .._solver.solver import Found, Solver
 from .lenses import alike_in_groups, known_by_others
 from .levels import Path, Tell, descended
-from .system import JointProblem
+from .system import JointProblem, LevelEnd
 from .views import SCALE, State
 
 #: Of each view this many guesses are tried, so far apart (rad), and this many of all followed
@@ -61,6 +62,9 @@ FIRST_STEPS, WORSE = 8, 4.0
 LIKELY_IOU = 0.9
 #: Poses are compared at most this many times, where one of them is better elsewhere.
 ROUNDS = 3
+
+
+P = TypeVar("P", State, Path)
 
 
 class LonePose(NamedTuple):
@@ -287,17 +291,20 @@ def _searched_together(pose: LonePose, state: State, tell: Tell) -> list[Path]:
         return total if np.isfinite(total) else np.inf
 
     tried.sort(key=squares)
-    likely = [tried[k] for k in _apart(few, tried)][: 2 * FOLLOWED]
-    begun = [coarsest.descend(state, FIRST_STEPS, ROUGH_PX) for state in likely]
-    paths = sorted((Path(d, (d.steps,)) for d in begun), key=lambda p: p.squares)
-    paths = _distinct(few, paths)[:FOLLOWED]
+    paths = []
+    for begin in _apart(few, tried, APART)[: 2 * FOLLOWED]:
+        there = coarsest.descend(begin, FIRST_STEPS, ROUGH_PX)
+        ends = LevelEnd(begin, few.levels, 0), LevelEnd(there.state, few.levels, there.steps)
+        paths.append(Path(there, ends))
+    paths.sort(key=lambda path: path.squares)
+    paths = _apart(few, paths, APART)[:FOLLOWED]
     for level in range(few.levels, 0, -1):
         # (All views are looked at where few states are left.)
         part = few if level > 2 else problem
         paths = [p.then(descended(part, p.descent.state, tell, [level])) for p in paths]
         paths.sort(key=lambda p: p.squares)
         most = (WORSE if level > 1 else 1 + EQUAL) * paths[0].squares
-        best, *others = _distinct(problem, paths, SAME)
+        best, *others = _apart(problem, paths, SAME)
         paths = [best, *(p for p in others if p.squares <= most)]
     return paths
 
@@ -310,7 +317,7 @@ def _equally_good(problem: JointProblem, paths: list[Path]) -> list[Path]:
     good = [p for p in paths if p.squares <= (1 + EQUAL) * least + noise] or paths[:1]
     if good[0] is not paths[0]:
         good.sort(key=lambda p: p.squares)
-    return _distinct(problem, good, SAME)
+    return _apart(problem, good, SAME)
 
 
 def _looking_alike(pose: LonePose, best: Path, tell: Tell) -> list[Path]:
@@ -342,15 +349,14 @@ def _guessed(problem: JointProblem, name: str, state: State) -> list[State]:
     return result
 
 
-def _distinct(problem: JointProblem, paths: list[Path], apart: float = APART) -> list[Path]:
-    return [paths[k] for k in _apart(problem, [p.descent.state for p in paths], apart)]
-
-
-def _apart(problem: JointProblem, states: list[State], apart: float = APART) -> list[int]:
-    """Indices of the states whose cameras look other ways than those before them."""
-    distinct: dict[int, Camera] = {}
-    for k, state in enumerate(states):
+def _apart(problem: JointProblem, places: Sequence[P], apart: float) -> list[P]:
+    """The states, or paths to these, whose cameras look other ways (rad) than those before."""
+    result: list[P] = []
+    cameras: list[Camera] = []
+    for place in places:
+        state = place.descent.state if isinstance(place, Path) else place
         camera = problem.eyes[0].canonical(state)
-        if all(angle(camera, other) > apart for other in distinct.values()):
-            distinct[k] = camera
-    return [*distinct]
+        if all(angle(camera, other) > apart for other in cameras):
+            cameras.append(camera)
+            result.append(place)
+    return result

@@ -15,11 +15,11 @@ from .._mask.target import check_target, levelled
 from .._scene.assembly import Posture
 from .._scene.scene import check_scene
 from .._solver.moves import canonical
-from .._solver.parameters import as_names, check_free, components, in_one, with_lens
+from .._solver.parameters import components
 from .._solver.solver import Solver
 from .._solver.subject import Subject
 from .knowledge import bounds_by_name, priors_of, scales_of, zeros_of
-from .lenses import alike_in_groups, groups_of
+from .lenses import with_shared
 from .system import JointProblem
 from .views import MOTIONS, POSE, SCALE, TWIST, Eye, JointView, State, Unknown
 
@@ -59,36 +59,32 @@ def joint_problem(
     cameras = _checked_cameras(cameras)
     poses, places = _poses("objects", objects), _poses("rig", rig)
     _check_names(views, cameras, poses, places)
-    parts = [*poses]
 
-    groups = groups_of(shared, cameras)
-    names = (*as_names(free), *groups)
-    freed = in_one(check_free(names, next(iter(cameras.values())))) if names else ()
-    cameras = alike_in_groups({n: with_lens(c, freed) for n, c in cameras.items()}, groups)
+    parts = [*poses]
+    freed, groups, cameras = with_shared(cameras, free, shared)
     lens = [name for name in freed if name not in MOTIONS]
     first = {row: {n: g[0] for g in groups[row] for n in g} for row in groups}
     owners = {n: {row: first.get(row, {}).get(n, n) for row in lens} for n in cameras}
     limits = bounds_by_name(bounds, cameras, freed, owners)
 
     moving = {n: RIG if n in places else n for n in cameras}
-    cells = LEAST_CELLS if len(views) < MANY_VIEWS else FEW_CELLS
-    subjects: dict[int, Subject] = {}  # (a scene's arrays are not copied for each view)
+    options = outlier_px is not None, LEAST_CELLS if len(views) < MANY_VIEWS else FEW_CELLS
+    # (A scene's arrays are not copied for each view.)
+    scenes = {id(view.scene): (view.scene, cameras[view.camera].e.dtype) for view in views}
+    subjects = {key: Subject.of(*scene) for key, scene in scenes.items()}
     eyes = []
     for k, view in enumerate(views):
-        name, camera = view.camera, cameras[view.camera]
-        mask = _checked_mask(k, view, camera, search, as_given)
-        key, dtype = id(view.scene), camera.e.dtype
-        subject = subjects[key] = subjects.get(key) or Subject.of(view.scene, dtype)
-        own = subject, mask.target, mask.weight, (POSE, *lens), max_steps
-        solver = Solver.on(*own, limits[name], outlier_px is not None, cells)
+        name, mask = view.camera, _checked_mask(k, view, cameras, search, as_given)
+        own = subjects[id(view.scene)], mask.target, mask.weight, (POSE, *lens), max_steps
+        solver, place = Solver.on(*own, limits[name], *options), places.get(name, np.eye(4))
         mount, placed = _transforms(k, view)
-        place = places.get(name, np.eye(4))
-        eyes.append(Eye(view, mask, solver, owners[name], moving[name], mount, placed, place))
+        on = owners[name], moving[name], mount, placed, place
+        eyes.append(Eye(view, mask, solver, *on))
 
     scales = scales_of(prior, views)
     for eye in eyes:
         poses.setdefault(eye.moving, pose_of(eye.mask.camera) @ inverse(eye.rig))
-    problem = JointProblem(
+    return JointProblem(
         unknowns=_unknowns(freed, owners, moving, parts, [*scales]),
         eyes=eyes,
         priors=priors_of(prior, cameras, freed, eyes, parts, [*scales]),
@@ -100,8 +96,6 @@ def joint_problem(
         weights=np.ones(len(eyes)),
         widens=widens,
     )
-    _check_idle(problem)
-    return problem
 
 
 def _transforms(k: int, view: JointView) -> list[Pose]:
@@ -191,14 +185,11 @@ def _check_names(
             raise ValueError(f"`views[{k}].scale`: {words}")
 
 
-def _check_idle(problem: JointProblem) -> None:
-    for k in range(len(problem.eyes)):
-        if not problem.of(k):
-            raise ValueError(f"`views[{k}]`: expected a view of something unknown, got none")
-
-
-def _checked_mask(k: int, view: JointView, camera: Camera, search: bool, as_given: bool) -> Mask:
+def _checked_mask(
+    k: int, view: JointView, cameras: Mapping[str, Camera], search: bool, as_given: bool
+) -> Mask:
     """A view's mask. Raises ValueError for this, and for its photo."""
+    camera = cameras[view.camera]
     is_world = view.mount is None and view.object is None and view.placed is None
     try:
         image, weight = check_target(view.target, view.weight, camera.W, camera.H)

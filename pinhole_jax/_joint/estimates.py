@@ -1,6 +1,6 @@
 """Reported numbers of a joint fit, and how they follow its unknowns."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -25,15 +25,6 @@ class Estimates(NamedTuple):
     place: np.ndarray
     by_unknowns: np.ndarray
 
-    def covariance(
-        self, of_unknowns: Callable[[np.ndarray], np.ndarray], unseen: np.ndarray
-    ) -> np.ndarray:
-        """Their covariance (p, p), given that of the unknowns at some place; infinite, with no
-        covariances, where they move along `unseen` directions (size, d) of all unknowns."""
-        result = self.by_unknowns @ of_unknowns(self.place) @ self.by_unknowns.T
-        forget(result, self.by_unknowns @ unseen[self.place])
-        return result
-
 
 def forget(covariance: np.ndarray, unseen: np.ndarray) -> None:
     """Put infinite variances, and no covariances, where numbers move along directions (p, d) that
@@ -54,24 +45,31 @@ def together(parts: Sequence[Estimates]) -> Estimates:
     return Estimates(sum(labels, ()), np.concatenate(places), np.asarray(block_diag(*by_unknowns)))
 
 
-def of_camera(problem: JointProblem, name: str, state: State, view: View) -> Estimates:
-    """The parameters of a camera, one of whose views is given, as in a `Fit`."""
+def of_pose(problem: JointProblem, name: str, state: State) -> Estimates:
+    """The pose of a camera, as in a `Fit`."""
     _, eye = problem.eye_of(name)
     rotation = (state.poses[eye.moving] @ eye.rig)[:3, :3]
     by_twist = reported_twist(rotation) @ adjoint(inverse(eye.rig))
-    kinds = {(eye.moving, kind): by_twist[part, part] for kind, part in MOTIONS.items()}
-    for row, owner in eye.owners.items():
-        by_unknowns = lens_reported(view, eye.solver.freed, row)
-        by_unknowns[[LABELS[x].unit == "px" for x in labels_of((row,))]] *= problem.cameras[name].H
-        kinds[owner, row] = by_unknowns
-    places = {of: problem.place(*of) for of in kinds}
+    places = {kind: problem.place(eye.moving, kind) for kind in MOTIONS}
     return together(
         [
-            Estimates(labels_of((of[1],)), place, kinds[of])
-            for of, place in places.items()
+            Estimates(labels_of((kind,)), place, by_twist[MOTIONS[kind], MOTIONS[kind]])
+            for kind, place in places.items()
             if place is not None
         ]
     )
+
+
+def of_camera(problem: JointProblem, name: str, state: State, view: View) -> Estimates:
+    """The parameters of a camera, one of whose views is given, as in a `Fit`."""
+    eye, parts = problem.eye_of(name)[1], [of_pose(problem, name, state)]
+    for row, owner in eye.owners.items():
+        labels, place = labels_of((row,)), problem.place(owner, row)
+        by_unknowns = lens_reported(view, eye.solver.freed, row)
+        by_unknowns[[LABELS[x].unit == "px" for x in labels]] *= problem.cameras[name].H
+        if place is not None:
+            parts.append(Estimates(labels, place, by_unknowns))
+    return together(parts)
 
 
 def of_object(problem: JointProblem, name: str, state: State) -> Estimates:

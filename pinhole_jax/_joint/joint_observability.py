@@ -1,14 +1,13 @@
 """`joint_observability`: what masks of several views could tell, before any is taken."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from .._camera.camera import Camera
-from .._fit.observability import Observability
+from .._fit.observability import Observability, observability_of
 from .._numerics.arrays import ArrayLike, Input
-from .._solver.least_squares import solve
 from .._solver.priors import Pair
 from .._solver.problem import UNIT_PX
 from .._solver.uncertainty import BLIND, WEAK
@@ -46,38 +45,26 @@ def joint_observability(
     print(pj.joint_observability([pj.JointView(scene, None)], truth, ("pose", "phi")))
     ```
     """
-    if not noise > 0:
-        raise ValueError(f"`noise`: expected a positive standard deviation, got {noise}")
     blank = [_blank(view, cameras) for view in views]
     given = {"shared": shared, "objects": objects, "rig": rig, "prior": prior}
     problem = joint_problem(blank, cameras, free, joint_zeros=joint_zeros, **given)
     problem = problem.with_zeros() if problem.zeros else problem
     state, seen, size = problem.start, problem.look(problem.start), problem.size
-    parts = problem.parts(state, seen, noise)
-    solved = solve(parts, size, np.zeros(size))
-    unseen = solved.unseen(BLIND[problem.dtype])
-    told = of_all(problem, state, [rows.view for rows in seen])
-    covariance = told.covariance(lambda place: noise**2 * solved.inverse(place, place), unseen)
 
     most = np.zeros(size)
     for k, rows in enumerate(seen):
         columns = problem.columns(k)
         most[columns] = np.maximum(most[columns], np.max(np.abs(rows.moves), axis=0))
     unit = 1 / (UNIT_PX * np.maximum(most, 1e-300))  # moves an outline by about a pixel
-    table = np.zeros((sum(len(part.rows) for part in parts), size))
-    for row, part in zip(np.cumsum([0, *(len(p.rows) for p in parts)]), parts, strict=False):
-        table[row : row + len(part.rows), part.columns] = part.rows * unit[part.columns]
-    _, values, directions = np.linalg.svd(table, full_matrices=len(table) < size)
-    values = np.append(values, np.zeros(size - len(values)))
-    return Observability(
-        names=told.labels,
-        rank=size - unseen.shape[1],
-        of=size,
-        values=values,
-        std=np.sqrt(np.diag(covariance)),
-        covariance=covariance,
-        weak=tuple(_weak(problem, values, directions, unseen.shape[1])),
-    )
+    tables = [np.zeros((size, size))]
+    for part in problem.parts(state, seen, noise):
+        tables.append(part.rows @ (np.eye(size)[part.columns] * unit))
+    triangle: Any = np.linalg.qr(np.concatenate(tables), mode="r")
+    told = of_all(problem, state, [rows.view for rows in seen])
+    reported = told.by_unknowns @ (np.eye(size)[told.place] * unit)
+    blind = BLIND[problem.dtype]
+    weak = _weak(problem, triangle, blind)
+    return observability_of(told.labels, triangle, reported, noise, blind, weak)
 
 
 def _blank(view: Any, cameras: Any) -> Any:
@@ -92,17 +79,15 @@ def _blank(view: Any, cameras: Any) -> Any:
     return view._replace(target=mask, photo=None)
 
 
-def _weak(
-    problem: JointProblem, values: np.ndarray, directions: np.ndarray, hidden: int
-) -> list[str]:
-    """Sentences on directions that change masks little, or not at all (this many of them)."""
-    top, result = max(float(values[0]), 1e-300), []
-    for k, (value, direction) in enumerate(zip(values[::-1], directions[::-1], strict=True)):
-        if k >= hidden and value > WEAK * top:
-            break
-        how = f"is nearly free ({value / top:.1%} as visible as the best-seen move)"
-        result.append(f"{_words(problem, direction)} {'is not visible' if k < hidden else how}")
-    return result
+def _weak(problem: JointProblem, triangle: np.ndarray, blind: float) -> Iterator[str]:
+    """Sentences on directions that change masks little, or not at all."""
+    _, values, directions = np.linalg.svd(triangle)
+    shares = values / max(float(values[0]), 1e-300)
+    for share, direction in zip(shares[::-1], directions[::-1], strict=True):
+        if share <= WEAK:
+            how = f"is nearly free ({share:.1%} as visible as the best-seen move)"
+            how = "is not visible" if share <= blind else how
+            yield f"{_words(problem, direction)} {how}"
 
 
 def _words(problem: JointProblem, direction: np.ndarray) -> str:

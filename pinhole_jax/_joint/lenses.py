@@ -1,6 +1,6 @@
 """Parameters that cameras have in common: which these are, and where they begin."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
@@ -9,7 +9,7 @@ import numpy as np
 from .._camera.camera import Camera
 from .._camera.distortion import COEFFICIENTS
 from .._solver.least_squares import Rows, Solved
-from .._solver.parameters import PARAMETERS, as_names, check_free, in_one
+from .._solver.parameters import PARAMETERS, as_names, check_free, in_one, with_lens
 
 #: What views may share.
 SHARED = tuple(name for name, row in PARAMETERS.items() if row.shared)
@@ -17,15 +17,19 @@ SHARED = tuple(name for name, row in PARAMETERS.items() if row.shared)
 CLEAR = 1e-11
 
 
-def shared_and_free(
-    shared: str | Sequence[str], free: str | Sequence[str], camera: Camera
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """All names in a fixed order, and those that are shared.
+def with_shared(
+    cameras: Mapping[str, Camera], free: Any, shared: Any
+) -> tuple[tuple[str, ...], dict[str, list[tuple[str, ...]]], dict[str, Camera]]:
+    """All names of what is free, in a fixed order; groups of cameras that have a parameter in
+    common; and the cameras, alike in these, with a lens that has what is free.
 
     Raises ValueError for names of no parameter, or of one that cannot be shared.
     """
-    common = check_shared(as_names(shared, "shared"), camera)
-    return in_one(check_free([*common, *as_names(free)], camera)), common
+    groups = groups_of(shared, cameras)
+    names = (*groups, *as_names(free))
+    freed = in_one(check_free(names, next(iter(cameras.values())))) if names else ()
+    having = {name: with_lens(camera, freed) for name, camera in cameras.items()}
+    return freed, groups, alike_in_groups(having, groups)
 
 
 def groups_of(shared: Any, cameras: Mapping[str, Camera]) -> dict[str, list[tuple[str, ...]]]:
@@ -61,26 +65,22 @@ def check_shared(shared: tuple[str, ...], camera: Camera) -> tuple[str, ...]:
 def alike_in_groups(
     cameras: Mapping[str, Camera], groups: Mapping[str, list[tuple[str, ...]]]
 ) -> dict[str, Camera]:
-    """The cameras with the mean of each group's shared parameters."""
+    """The cameras with the mean of each group's shared parameters.
+
+    Raises ValueError for coefficients of different distortions.
+    """
     result = dict(cameras)
-    for row, members in groups.items():
-        for group in members:
-            same = alike([result[name] for name in group], (row,))
-            result.update(zip(group, same, strict=True))
-    return result
-
-
-def alike(cameras: Sequence[Camera], common: tuple[str, ...]) -> list[Camera]:
-    """The cameras with the mean of shared parameters."""
-    kinds = {type(c.lens and c.lens.distortion) for c in cameras}
-    if len(kinds) > 1 and not {*COEFFICIENTS}.isdisjoint(common):
-        words = " and ".join(sorted(k.__name__ for k in kinds))
-        raise ValueError(f"`cameras`: expected distortions of one kind to share, got {words}")
-    result = list(cameras)
-    for leaf in (leaf for name in common for leaf in PARAMETERS[name].leaves):
-        values = [leaf.of(c) for c in cameras]
-        mean: Any = sum(values[1:], values[0]) / len(values)
-        result = [eqx.tree_at(leaf.of, c, mean.astype(c.e.dtype)) for c in result]
+    for row, group in ((row, group) for row, members in groups.items() for group in members):
+        kinds = {type(result[name].distortion).__name__ for name in group}
+        if len(kinds) > 1 and row in COEFFICIENTS:
+            words = f"expected distortions of one kind to share, got {' and '.join(sorted(kinds))}"
+            raise ValueError(f"`cameras`: {words}")
+        for leaf in PARAMETERS[row].leaves:
+            values = [leaf.of(result[name]) for name in group]
+            mean: Any = sum(values[1:], values[0]) / len(values)
+            for name in group:
+                mean = mean.astype(result[name].e.dtype)
+                result[name] = eqx.tree_at(leaf.of, result[name], mean)
     return result
 
 

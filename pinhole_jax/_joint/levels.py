@@ -13,7 +13,7 @@ from .._solver.looks import Sums
 from .._solver.problem import COARSE_PX, FINE_PX
 from .agreement import Agreement, agreed, priors_weighed
 from .photos import refined
-from .system import JointProblem
+from .system import JointProblem, LevelEnd
 from .views import State
 
 #: This many steps at most on a level that leads to finer ones. (An arm in three postures, 24 fits:
@@ -27,22 +27,18 @@ DRAWN_PX = 5e-3
 Tell = Callable[[str], None]
 
 
-class LevelEnd(NamedTuple):
-    """Where steps on a level ended: how far it is from the finest, and their number."""
-
-    state: State
-    depth: int
-    steps: int
-
-
 class Path(NamedTuple):
-    """A descent's end, the number of steps on each level, and the way there; directions along which
-    a view's mask tells no difference."""
+    """A descent's end, and the way there from the start (0 steps); directions along which a view's
+    mask tells no difference."""
 
     descent: Descent
-    steps: tuple[int, ...]
-    way: tuple[LevelEnd, ...] = ()
+    way: tuple[LevelEnd, ...]
     free: tuple[Free, ...] = ()
+
+    @property
+    def steps(self) -> tuple[int, ...]:
+        """The number of steps on each level."""
+        return tuple(end.steps for end in self.way[1:])
 
     @property
     def squares(self) -> float:
@@ -51,9 +47,7 @@ class Path(NamedTuple):
 
     def then(self, further: "Path") -> "Path":
         """A further descent, with the steps of both."""
-        return further._replace(
-            steps=self.steps + further.steps, way=self.way + further.way[1:], free=self.free
-        )
+        return further._replace(way=self.way + further.way[1:], free=self.free)
 
 
 def descended(
@@ -65,17 +59,16 @@ def descended(
 ) -> Path:
     """The path from level to level; steps on the finest are negligible below this many px (None: as
     `problem.px` has it)."""
-    steps, way = [], [LevelEnd(state, depths[0], 0)]
+    way = [LevelEnd(state, depths[0], 0)]
     found = Descent(state, [], np.inf, 0, False)
     for depth in depths:
         least = (px or problem.px) if depth == 1 else COARSE_PX
         most = problem.max_steps if depth == 1 else min(problem.max_steps, COARSE_STEPS)
         found = replace(problem, depth=depth).descend(found.state, most, least)
-        steps.append(found.steps)
         way.append(LevelEnd(found.state, depth, found.steps))
         left = f"{depth - 1} level{'s' * (depth != 2)} left"
         tell(f"{len(problem.eyes)} views: {found.steps} steps, {left}")
-    return Path(found, tuple(steps), tuple(way))
+    return Path(found, tuple(way))
 
 
 class Outcome(NamedTuple):
@@ -121,10 +114,10 @@ def to_the_end(problem: JointProblem, path: Path, tell: Tell, photos: bool = Fal
     if not photos:
         return Outcome(problem, path, by_masks, whole, astray, ())
 
-    found, steps, notes = refined(by_masks, px, tell)
+    found, way, notes = refined(by_masks, px, tell)
     if found is not by_masks:
         whole = [eye.look(found.descent.state).sums for eye in eyes]
-    path = path._replace(steps=path.steps + steps)
+    path = path._replace(way=(*path.way, *way))
     kept = zip(found.problem.eyes, near.eyes, eyes, strict=True)
     decided = [mask if eye is looked else eye for eye, looked, mask in kept]
     return Outcome(replace(problem, eyes=decided), path, found, whole, astray, notes)

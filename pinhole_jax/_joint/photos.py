@@ -26,7 +26,7 @@ from .._fit.photo import (
 )
 from .._solver.problem import COARSE_PX
 from .agreement import Agreement, agreed
-from .system import JointProblem
+from .system import JointProblem, LevelEnd
 from .views import State
 
 #: Beside a photo that tells as much as one alone has to, others tell of the camera where they do so
@@ -42,8 +42,8 @@ Outlines = dict[int, Outline]
 
 def refined(
     before: Agreement, px: float, tell: Callable[[str], None]
-) -> tuple[Agreement, tuple[int, ...], tuple[str, ...]]:
-    """The agreement of photos, with the steps to it and a note on each photo; that of masks, where
+) -> tuple[Agreement, list[LevelEnd], tuple[str, ...]]:
+    """The agreement of photos, with the way to it and a note on each photo; that of masks, where
     no photo is better founded than its mask. Steps of `px` are negligible."""
     of_masks, begin = before.problem, before.descent.state
     eyes = of_masks.eyes
@@ -58,22 +58,23 @@ def refined(
     notes = {k: unresolved(share) for k, share in shares.items() if share < least}
     photos = {k: photo for k, photo in photos.items() if k not in notes}
 
-    found, steps = before, ()
+    found, way = before, []
     while photos:
         on_photo = {k: replace(eyes[k], solver=eyes[k].solver.like(COLOURS)) for k in photos}
         counts = np.array([1.0 if k in photos else OF_MASK for k in range(len(eyes))])
         weights = counts * of_masks.weights
         problem = replace(of_masks.seeing(on_photo), weights=weights)
-        problem, state, now, further = _learned(problem, photos, first, begin, px, tell)
-        steps += further
+        problem, now, further = _learned(problem, photos, first, begin, px, tell)
+        way += further
         trusted = _trusted(problem, photos, first, now, least, notes)
         if len(trusted) == len(photos):
-            there = replace(problem, weights=counts).descend(state, problem.max_steps, px)
+            alike = replace(problem, weights=counts)
+            there = alike.descend(way[-1].state, problem.max_steps, px)
             found = agreed(problem, there, px, counts)
-            steps += (found.descent.steps,)
+            way.append(LevelEnd(found.descent.state, 1, found.descent.steps))
             break
         photos = trusted
-    return found, steps, tuple(f"view {k}: {notes[k]}" for k in sorted(notes))
+    return found, way, tuple(f"view {k}: {notes[k]}" for k in sorted(notes))
 
 
 def _trusted(
@@ -105,10 +106,10 @@ def _learned(
     state: State,
     px: float,
     tell: Callable[[str], None],
-) -> tuple[JointProblem, State, Outlines, tuple[int, ...]]:
-    """The problem that looks at the last of the colours that are learned round by round; the state
-    that they lead to, the outlines there, and the steps."""
-    steps = []
+) -> tuple[JointProblem, Outlines, list[LevelEnd]]:
+    """The problem that looks at the last of the colours that are learned round by round; the
+    outlines where they lead to, and the way there."""
+    way = []
     for number, band in enumerate(ROUNDS):
         last = number == len(ROUNDS) - 1
         looking = {}
@@ -119,13 +120,13 @@ def _learned(
         problem = problem.seeing(looking)
         for depth in (1,) if number else range(FIRST_DEPTH, 0, -1):
             least = COARSE_PX if depth > 1 else px if last else max(px, ROUGH_PX)
-            level = replace(problem, depth=depth)
-            there = level.descend(state, LAST_STEPS if last else STEPS, least)
+            level, most = replace(problem, depth=depth), LAST_STEPS if last else STEPS
+            there = level.descend(state, most, least)
             state = there.state
-            steps.append(there.steps)
+            way.append(LevelEnd(state, depth, there.steps))
         now = _outlines(problem, state, photos)
         tell(f"{len(photos)} photos: round {number + 1} of {len(ROUNDS)}")
-    return problem, state, now, tuple(steps)
+    return problem, now, way
 
 
 def _outlines(problem: JointProblem, state: State, photos: Photos) -> Outlines:

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-import jax
 import numpy as np
 
 from .._camera.axes import axes_of
@@ -24,12 +23,20 @@ from .._fit.result import (
 )
 from .._solver.looks import Sums
 from .._solver.moves import on_film
-from .._solver.parameters import labels_of
 from .._solver.solver import Found, Stop
 from .._solver.uncertainty import in_words
 from ..names import STATUSES
 from .agreement import Agreement
-from .estimates import HARDLY, Estimates, forget, of_camera, of_number, of_object, together
+from .estimates import (
+    HARDLY,
+    Estimates,
+    forget,
+    of_camera,
+    of_number,
+    of_object,
+    of_pose,
+    together,
+)
 from .joint_fit import JointFit, JointZeros, ObjectFit, SceneScale, ViewFit
 from .levels import Outcome
 from .views import POSE, SCALE, ZERO
@@ -49,20 +56,19 @@ COUNTS = 0.1
 def reported(end: Outcome, free: Mapping[str, Sequence[Free]]) -> JointFit:
     """The end of a fit as a user reads it; poses are `free` along these directions."""
     problem, found, state = end.problem, end.found, end.found.descent.state
-    covariance = lambda told: told.covariance(found.covariance, found.unseen)
     views = tuple(_view_fit(end, k) for k in range(len(problem.eyes)))
     cameras = {
         name: _camera_fit(end, name, views, free.get(problem.eye_of(name)[1].moving, []))
         for name in problem.cameras
     }
     objects = {
-        name: ObjectFit(state.poses[name], covariance(of_object(problem, name, state)))
+        name: ObjectFit(state.poses[name], found.covariance_of(of_object(problem, name, state)))
         for name in problem.objects()
     }
     scales = _scales(end)
     open_still = [f"{name}: {f}" for name in objects for f in free.get(name, [])]
-    stds = [part.std for part in (*objects.values(), *scales.values())]
-    known = bool(np.all([np.all(np.isfinite(std)) for std in stds])) and not open_still
+    stds = [np.ravel(part.std) for part in (*objects.values(), *scales.values())]
+    known = bool(np.all(np.isfinite(np.concatenate([*stds, [0.0]])))) and not open_still
     return JointFit(
         status=worst(
             [*(fit.status for fit in cameras.values()), "converged" if known else "rank_deficient"]
@@ -87,11 +93,10 @@ def worst(statuses: Sequence[str]) -> str:
 def _view_fit(end: Outcome, k: int) -> ViewFit:
     problem, found = end.problem, end.found
     eye, state, errors = problem.eyes[k], found.descent.state, found.errors[k]
-    total = _plain(end.whole[k])
     return ViewFit(
         camera=on_film(eye.canonical(state), problem.cameras[eye.shot.camera]),
-        iou=total.overlap / total.union if total.union > 0 else 0.0,
-        rms=_rms(total.squares, total.weight),
+        iou=_iou([end.whole[k]]),
+        rms=_rms([end.whole[k]]),
         off=float(found.off[k]),
         weight=float(found.problem.weights[k]),
         astray=end.astray[k],
@@ -102,12 +107,14 @@ def _view_fit(end: Outcome, k: int) -> ViewFit:
     )
 
 
-def _plain(sums: Sums) -> Any:
-    return jax.tree.map(float, sums)
+def _iou(masks: Sequence[Sums]) -> float:
+    overlap, union = (sum(float(getattr(m, x)) for m in masks) for x in ("overlap", "union"))
+    return overlap / union if union > 0 else 0.0
 
 
-def _rms(squares: float, weight: float) -> float:
-    return float(np.sqrt(squares / weight)) if weight > 0 else float("nan")
+def _rms(masks: Sequence[Sums]) -> float:
+    squares, weight = (sum(float(getattr(m, x)) for m in masks) for x in ("squares", "weight"))
+    return (squares / weight) ** 0.5 if weight > 0 else float("nan")
 
 
 def _worth(found: Agreement, k: int) -> float:
@@ -135,35 +142,32 @@ def _camera_fit(end: Outcome, name: str, views: tuple[ViewFit, ...], free: Seque
     camera = on_film(seen_from(state), film)
 
     told = of_camera(problem, name, state, seen.view)
-    covariance = told.covariance(found.covariance, found.unseen)
+    covariance = found.covariance_of(told)
     free = [at(eye.solver, Found(eye.canonical(state), seen.view, ()), f) for f in free]
     if free:
         _widen(covariance, found, numbers[0], told, free)
-
-    sums = [_plain(end.whole[k]) for k in numbers]
-    total = lambda part: sum(getattr(x, part) for x in sums)
-    iou = total("overlap") / total("union") if total("union") > 0 else 0.0
-    status, weak = _status(end, numbers, views, covariance, told.labels, camera, iou)
-    if free:
-        weak = (*map(str, free), *weak)
-        status = "rank_deficient" if status == "converged" else status
-    weak += tuple(f"{label} is held at an end of its bounds" for label in eye.ended(state))
-    errors = [views[k].mask_error for k in numbers]
+    masks, errors = [end.whole[k] for k in numbers], [views[k].mask_error for k in numbers]
     known = [error for error in errors if error is not None]
-    return Fit(
+    fit = Fit(
         camera=camera,
-        status=status,
+        status="converged",
         names=told.labels,
         covariance=covariance,
         std=np.sqrt(np.diag(covariance)),
-        rms=_rms(total("squares"), total("weight")),
-        iou=iou,
+        rms=_rms(masks),
+        iou=_iou(masks),
         steps=end.path.steps,
-        weak=weak,
+        weak=(),
         history=_history(end, numbers[0], seen_from, film),
-        independent_covariance=told.covariance(found.independent, found.unseen),
+        independent_covariance=found.independent_of(told),
         mask_error=max(known, key=lambda e: e.px) if known else None,
     )
+    status, weak = _status(end, numbers, views, fit)
+    if free:
+        weak = (*map(str, free), *weak)
+        status = "rank_deficient" if status == "converged" else status
+    ended = tuple(f"{label} is held at an end of its bounds" for label in eye.ended(state))
+    return fit._replace(status=status, weak=weak + ended)
 
 
 def _widen(
@@ -190,19 +194,13 @@ def _history(
 
 
 def _status(
-    end: Outcome,
-    numbers: list[int],
-    views: tuple[ViewFit, ...],
-    covariance: np.ndarray,
-    labels: tuple[str, ...],
-    camera: Camera,
-    iou: float,
+    end: Outcome, numbers: list[int], views: tuple[ViewFit, ...], fit: Fit
 ) -> tuple[str, tuple[str, ...]]:
     """The status of a camera, and what its masks determine badly, as sentences."""
-    found, variances = end.found, np.diag(covariance)
-    if not np.isfinite(found.descent.squares) or np.any(np.isnan(variances)):
+    found = end.found
+    if not np.isfinite(found.descent.squares) or np.any(np.isnan(fit.std)):
         return "non_finite", ()
-    if iou < LEAST_IOU:
+    if fit.iou < LEAST_IOU:
         return "no_overlap", ()
     if not found.descent.ended:
         return "max_steps", ()
@@ -218,11 +216,11 @@ def _status(
     if far > ASTRAY and not _is_compared(end, numbers[0]):
         edges = "the edges of most masks" if len(numbers) > 1 else "the mask's edge"
         return "misfit", (f"{far:.0%} of the outline is far from {edges}: {WRONG}",)
-    if np.any(np.isinf(variances)):
+    if np.any(np.isinf(fit.std)):
         return "rank_deficient", ("some move changes no mask",)
-    turn, about = widest_turn(covariance, labels)
+    turn, about = widest_turn(fit.covariance, fit.names)
     if turn > UNCERTAIN:
-        axis, degrees = in_words(about @ axes_of(camera)), np.rad2deg(turn)
+        axis, degrees = in_words(about @ axes_of(fit.camera)), np.rad2deg(turn)
         words = f"the turn about the axis {axis} is known to {degrees:.0f} degrees (one sigma)"
         return "uncertain", (words,)
     return "converged", ()
@@ -243,23 +241,18 @@ def _is_explained(found: Agreement, k: int) -> bool:
 
 def _scales(end: Outcome) -> dict[str, SceneScale]:
     problem, found, state = end.problem, end.found, end.found.descent.state
-    if not (names := problem.named(SCALE)):
-        return {}
     poses = {name: of_object(problem, name, state) for name in problem.objects()}
-    for name in problem.cameras:
-        whole = of_camera(problem, name, state, found.descent.seen[problem.eye_of(name)[0]].view)
-        n = sum(label in labels_of((POSE,)) for label in whole.labels)
-        poses[name] = Estimates(whole.labels[:n], whole.place[:n], whole.by_unknowns[:n, :n])
+    poses |= {name: of_pose(problem, name, state) for name in problem.cameras}
     result = {}
-    for name in names:
+    for name in problem.named(SCALE):
         told = of_number(problem, name, SCALE, state)
-        variance = told.covariance(found.covariance, found.unseen)
         across = {
-            owner: together([pose, told]).covariance(found.covariance, found.unseen)[:-1, -1]
+            owner: found.covariance_of(together([pose, told]))[:-1, -1]
             for owner, pose in poses.items()
             if pose.labels
         }
-        result[name] = SceneScale(state.scales[name], float(variance[0, 0] ** 0.5), across)
+        std = float(found.covariance_of(told)[0, 0] ** 0.5)
+        result[name] = SceneScale(state.scales[name], std, across)
     return result
 
 

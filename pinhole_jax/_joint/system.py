@@ -36,6 +36,14 @@ class ViewRows(NamedTuple):
     moves: np.ndarray
 
 
+class LevelEnd(NamedTuple):
+    """Where steps on a level ended: how far it is from the finest, and their number."""
+
+    state: State
+    depth: int
+    steps: int
+
+
 @dataclass(frozen=True, eq=False)
 class JointProblem:
     """Unknowns and views, and where they begin, as `LeastSquares` on one level.
@@ -60,6 +68,11 @@ class JointProblem:
     widens: bool = True
     design: float = 1.0
     depth: int = 1
+
+    def __post_init__(self) -> None:
+        for k, seen in enumerate(self._seen):
+            if not seen:
+                raise ValueError(f"`views[{k}]`: expected a view of something unknown, got none")
 
     @cached_property
     def _number(self) -> dict[tuple[str, str], int]:

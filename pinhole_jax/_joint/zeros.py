@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from .._camera.bent import bent
 from .._camera.camera import Camera
 from .._camera.poses import adjoint, inverse, pose_of
+from .._camera.rays import project
 from .._mask.pyramid import Level
+from .._silhouette.visible import edge_weights, ranks
 from .._solver.looks import View
 from .._solver.stretches import Coverage
 from .._solver.subject import on_film_plane
@@ -71,69 +72,44 @@ def _shares(eye: Eye, state: State, camera: Camera, view: View) -> np.ndarray:
     assert mesh is not None
     assert posture is not None
     bodies = int(posture.body[-1]) + 1
-    vertices = np.asarray(mesh.vertices, float)
-    edges, third = _contour(vertices, mesh, np.asarray(camera.e, float))
-    ends, level = vertices[edges], view.level
-    film = [_in_pixels(camera, level, x) for x in (ends[:, 0], ends[:, 1], vertices[third])]
-    ahead = np.all([np.all(np.isfinite(x), axis=1) for x in film], axis=0)
-    start, end, inner = (x[ahead] for x in film)
-    body = posture.body[edges[ahead, 0]]
-
-    along = end - start
-    length = np.linalg.norm(along, axis=1)
+    weights = np.asarray(edge_weights(mesh, camera.e))
+    edges = np.asarray(mesh.edge_vertices)[weights != 0]
+    ends = np.asarray(mesh.vertices, float)[edges]
+    film = np.array([_in_pixels(camera, view.level, x) for x in (ends[:, 0], ends[:, 1])])
+    ahead = np.all(np.isfinite(film), axis=(0, 2))
+    start, along = film[0, ahead], film[1, ahead] - film[0, ahead]
+    length, body = np.linalg.norm(along, axis=1), posture.body[edges[ahead, 0]]
     number = np.clip(np.ceil(SAMPLES * length), 1, MOST).astype(int)
-    edge = np.repeat(np.arange(len(number)), number)
-    part = (np.arange(len(edge)) - (np.cumsum(number) - number)[edge] + 0.5) / number[edge]
-    points = start[edge] + part[:, None] * along[edge]
-    right = np.stack([along[:, 1], -along[:, 0]], axis=1) / np.maximum(length, 1e-12)[:, None]
-    inwards = np.sum(right * (inner - start), axis=1) > 0
-    outside = points + BESIDE * np.where(inwards, -1, 1)[edge, None] * right[edge]
+    edge, rank = ranks(number)
+    points = start[edge] + ((rank + 0.5) / number[edge])[:, None] * along[edge]
+    # (Cover is on the left of a line of positive weight.)
+    right = np.column_stack([along[:, 1], -along[:, 0]]) / np.maximum(length, 1e-12)[:, None]
+    outside = points + BESIDE * (np.sign(weights[weights != 0][ahead])[:, None] * right)[edge]
 
     # What lies within the object, or behind it, is no outline.
-    cell, cells = _cells(level, points), view.pixels.cell
-    slot = np.searchsorted(cells, cell)
-    found = (slot < len(cells)) & (cells[np.minimum(slot, len(cells) - 1)] == cell)
-    weight = (length / number)[edge] * (1 - _covered(view, outside))
+    row, column, inside = _places(view.level, points)
+    cell, cells = row * (int(view.level.W) + 2) + column + 1, view.pixels.cell
+    slot = np.minimum(np.searchsorted(cells, cell), len(cells) - 1)
+    found = inside & (cells[slot] == cell)
+    row, column, inside = _places(view.level, outside)
+    hidden = np.where(inside, Coverage.of(view).at(row, column), 0.0)
+    weight = (length / number)[edge] * (1 - hidden)
     result = np.zeros((len(cells), bodies))
     np.add.at(result, (slot[found], body[edge][found]), weight[found])
     total = result.sum(axis=1, keepdims=True)
     return result / np.where(total > 0, total, 1.0)
 
 
-def _contour(points: np.ndarray, mesh: Any, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The contour's edges (n, 2), and the third corner (n,) of the front face of each."""
-    faces, sides = np.asarray(mesh.faces), np.asarray(mesh.edge_faces)
-    a, b, c = points[faces].transpose(1, 0, 2)
-    front = np.append(np.sum(np.cross(b - a, c - a) * (e - a), axis=1) > 0, False)
-    one, other = front[sides[:, 0]], front[sides[:, 1]]
-    on = (one != other) | (sides[:, 1] < 0)
-    edges = np.asarray(mesh.edge_vertices)[on]
-    face = np.where(one[on] | (sides[on, 1] < 0), sides[on, 0], sides[on, 1])
-    return edges, faces[face].sum(axis=1) - edges.sum(axis=1)
-
-
 def _in_pixels(camera: Camera, level: Level, points: np.ndarray) -> np.ndarray:
     """Points (n, 3) on a level's window (n, 2), NaN behind the eye."""
-    x, y, z = on_film_plane(camera, points).T
-    ahead = z > 0
-    film = np.stack([x, y], axis=1) / np.where(ahead, z, np.nan)[:, None]
-    film = np.where(ahead[:, None], bent(camera, np.nan_to_num(film)), np.nan)
+    ahead = on_film_plane(camera, points)[:, 2:] > 0
+    film = np.where(ahead, np.asarray(project(camera, points), float), np.nan)
     return film * float(level.scale) - np.asarray(level.origin, float)
 
 
-def _cells(level: Level, points: np.ndarray) -> np.ndarray:
-    """Cells that points lie in, -1 beside the window."""
-    row, column, inside = _rows_and_columns(level, points)
-    return np.where(inside, row * (int(level.W) + 2) + column + 1, -1)
-
-
-def _covered(view: View, points: np.ndarray) -> np.ndarray:
-    """Coverage (n,) of the pixels that points lie in, 0 beside the window."""
-    row, column, inside = _rows_and_columns(view.level, points)
-    place = np.where(inside, row, 0), np.where(inside, column, 0)
-    return np.where(inside, Coverage.of(view).at(*place), 0.0)
-
-
-def _rows_and_columns(level: Level, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, Any]:
+def _places(level: Level, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows (from the bottom) and columns of the pixels that points lie in, and whether these are
+    pixels of the window; 0 and 0 beside it."""
     column, row = np.floor(points).astype(int).T
-    return row, column, (column >= 0) & (column < level.W) & (row >= 0) & (row < level.H)
+    inside = (column >= 0) & (column < level.W) & (row >= 0) & (row < level.H)
+    return np.where(inside, row, 0), np.where(inside, column, 0), np.asarray(inside)

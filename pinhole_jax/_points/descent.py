@@ -61,14 +61,16 @@ def descended(views: list[PointView], own: np.ndarray, asked: Options, tell: Tel
         views = views if reach_px is None else _near(views, given, reach_px)
         views, steps = _together(views, own, asked, tell)
         way.append((views, steps))
-    for turn in range(JUMPS + 1):
+    jumps = 0
+    while True:
         noise = noise_of(views, own, asked.variance)
         limits = [rms_limit(view, asked.variance, reach) for view in views]
         each = zip(views, limits, strict=True)
         places = [rivals(view, own, noise, limit) for view, limit in each]
         first = [best for best, *_ in places]
-        if turn == JUMPS or all(a is b for a, b in zip(first, views, strict=True)):
+        if jumps == JUMPS or all(a is b for a, b in zip(first, views, strict=True)):
             break
+        jumps += 1
         views, steps = _together(first, own, asked, tell)
         way.append((views, steps))
     pairs = zip(places, views, strict=True)

@@ -22,11 +22,11 @@ from .._fit.result import (
     without_ended,
 )
 from .._fit.words import parameter_lines
-from .._joint.lenses import alike, known_by_others, shared_and_free
+from .._joint.lenses import known_by_others, with_shared
 from .._numerics.arrays import ArrayLike, Input, checked, is_concrete
 from .._solver.least_squares import solve
 from .._solver.moves import on_film
-from .._solver.parameters import components, labels_of, with_lens
+from .._solver.parameters import check_free, components, labels_of
 from .._solver.priors import Pair, bounds_of, prior_of
 from .._solver.uncertainty import BLIND, covariance, in_words, weak_directions
 from .descent import Options, PointDescent, descended
@@ -160,15 +160,16 @@ def fit_points(
 
     def run(inputs: Any) -> tuple[tuple[PointFit, ...], PointDescent]:
         given = _checked(*inputs)
-        cameras = _cameras(camera, len(given))
+        cameras = {str(k): c for k, c in enumerate(_cameras(camera, len(given)))}
         several = INTRINSICS if len(given) > 1 else ()
-        freed, common = shared_and_free(several if shared is None else shared, free, cameras[0])
+        shared_names = several if shared is None else shared
+        freed, common, cameras = with_shared(cameras, free, shared_names)
+        check_free(freed, cameras["0"])
         own = np.array([name not in common for name in freed for _ in components((name,))])
-        cameras, scale = alike([with_lens(c, freed) for c in cameras], common), _scale(given)
-        views = []
-        for one, c in zip(given, cameras, strict=True):
+        views, scale = [], _scale(given)
+        for one, c in zip(given, cameras.values(), strict=True):
             view = PointView.from_points(c, one._replace(weight=one.weight / scale), freed)
-            known = prior_of(prior, c, freed, common, len(given))
+            known = prior_of(prior, c, freed, tuple(common), len(given))
             view = view._replace(bounds=bounds_of(bounds, c, freed), prior=known)
             views.append(begun(view, outlier_px is not None))
         variance = None if noise_px is None else noise_px**2 / scale

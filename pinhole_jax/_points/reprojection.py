@@ -136,10 +136,10 @@ class PointView(NamedTuple):
         return _camera_velocity(self.camera, self._data(), self.film, y, self.freed)
 
     def _data(self) -> "_Data":
-        film, given = self.film, Given(self.points, self.seen_at, self.weight)
-        arrays = given, self.ball, film.W / film.H, film.H
-        typed = jax.tree.map(lambda x: np.asarray(x, film.e.dtype), arrays)
-        return _Data(*typed, self.bounds, self.prior)
+        film, to = self.film, lambda x: np.asarray(x, self.film.e.dtype)
+        given = Given(to(self.points), to(self.seen_at), to(self.weight))
+        ball = Ball(*map(to, self.ball))
+        return _Data(given, ball, to(film.W / film.H), to(film.H), self.bounds, self.prior)
 
 
 class _Data(NamedTuple):

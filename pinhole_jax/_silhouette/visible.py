@@ -76,11 +76,11 @@ def contour_points(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 3"]:
     scene, real = astype(scene, camera.e.dtype), camera.e.dtype
     parts = [np.zeros((0, 3))]
     if scene.mesh is not None and scene.mesh.edge_faces.shape[0]:
-        on = np.flatnonzero(np.asarray(_edge_weights(scene.mesh, camera.e)))
+        on = np.flatnonzero(np.asarray(edge_weights(scene.mesh, camera.e)))
         edges = np.asarray(scene.mesh.vertices, float)[np.asarray(scene.mesh.edge_vertices)[on]]
         film = np.asarray(project(camera, edges.astype(real)), float)
         counts = _part_counts(film[:, 0], film[:, 1], 200)
-        edge, rank = _ranks(counts)
+        edge, rank = ranks(counts)
         share = ((rank + 0.5) / counts[edge])[:, None]
         parts.append(edges[edge, 0] + share * (edges[edge, 1] - edges[edge, 0]))
     if scene.spheres is not None:
@@ -137,7 +137,8 @@ def _arc_lines(
 
 
 @eqx.filter_jit
-def _edge_weights(mesh: Mesh, e: Float[Array, "3"]) -> Int[Array, "E"]:
+def edge_weights(mesh: Mesh, e: Float[Array, "3"]) -> Int[Array, "E"]:
+    """`contour_weights` as a program of its own."""
     return contour_weights(mesh, e)
 
 
@@ -147,7 +148,7 @@ def _part_counts(start: np.ndarray, end: np.ndarray, most: int) -> Int[np.ndarra
     return np.clip(np.ceil(length / STEP_PX), 1, most).astype(int)
 
 
-def _ranks(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def ranks(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return each item's group and its rank there, for groups of these sizes."""
     group = np.repeat(np.arange(len(counts)), counts)
     return group, np.arange(len(group)) - (np.cumsum(counts) - counts)[group]
@@ -160,7 +161,7 @@ def _short_parts(start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.nda
     """
     counts = _part_counts(start, end, 10_000)
     length = np.linalg.norm(end - start, axis=1)
-    line, rank = _ranks(counts + 1)
+    line, rank = ranks(counts + 1)
     crossed, crossing = _meetings(start, end)
     share = np.append(rank / counts[line], crossing)
     line = np.append(line, crossed)
