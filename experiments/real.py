@@ -1,6 +1,7 @@
 """What is found on real data that others made, how far off, and does sigma say so?
 
-    python experiments/real.py single | robots | knee | chessboards | photos | demos | command [OUT]
+    python experiments/real.py PART [OUT], a PART of single | robots | knee | chessboards | split |
+                                           photos | demos | command
 
 - `single`: a bottle in two photos, a published render of a cow, knee implants under fluoroscopy:
   fits from 10 degrees and 5 % of the distance off, beside what a tracker, a renderer or an expert
@@ -9,6 +10,8 @@
   start, then with the photos. That both are 120.09 mm apart, and parallel, no fit knows.
 - `knee`: femur and tibia of a frame as two objects of one fit, from 3 degrees, 3, 3, 15 mm off.
 - `chessboards`: does `fit_points` calibrate as OpenCV does? Thirteen photos.
+- `split`: do halves of each of these differ by no more than their error bars say? Odd and even
+  views, alternate blocks of a lone outline, or (`--only corners`) odd and even corners of a photo.
 - `photos`: what a photo adds where the mask is off by 1 to 3 px: traced, textured, lit, noisy.
 - `demos`: four published pose demonstrations (PyTorch3D, nvdiffrast, Mitsuba, redner), redone from
   the outline alone, the whole pose free.
@@ -25,7 +28,7 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -348,12 +351,16 @@ def by_fit(points: np.ndarray, seen_at: np.ndarray, size: tuple[int, int]) -> tu
     """Return the same by `fit_points`, from a field of view of 60 degrees and no pose."""
     W, H = size
     start = pj.Camera([0, 0, 1], [0, 0, 0], [0, 1, 0], np.deg2rad(60), W=W, H=H)
-    film = np.stack([seen_at[..., 0] + 0.5, H - 0.5 - seen_at[..., 1]], axis=-1)
-    fits = pj.fit_points(points, film, start)
+    fits = pj.fit_points(points, film_of(seen_at, H), start)
     camera = fits[0].camera
     rms = float(np.sqrt(np.mean([f.rms_px**2 for f in fits])))
     numbers = {"rms_px": rms, "focal_px": float(H / (2 * np.tan(float(camera.phi) / 2)))}
     return {**numbers, **{k: float(getattr(camera.lens.distortion, k)) for k in NAMES}}, fits
+
+
+def film_of(seen_at: np.ndarray, H: int) -> np.ndarray:
+    """Return OpenCV's pixels (..., 2) on the film."""
+    return np.stack([seen_at[..., 0] + 0.5, H - 0.5 - seen_at[..., 1]], axis=-1)
 
 
 def chessboards(asked: Asked) -> dict:
@@ -365,6 +372,105 @@ def chessboards(asked: Asked) -> dict:
     apart = abs(ours["focal_px"] / theirs["focal_px"] - 1)
     words = f"{ours['rms_px']:.4f} px (OpenCV {theirs['rms_px']:.4f}), focal length {apart:.1e} off"
     return {"verdict": words, "ours": ours, "theirs": theirs}
+
+
+# Halves
+
+PANDA = DATA / "robots" / "panda"
+HAND = ["panda_hand", "panda_leftfinger", "panda_rightfinger"]
+#: A name, what fits a half, and the halves.
+Split = tuple[str, Callable[[Any], Any], tuple[Any, Any]]
+
+
+def views_split(name: str, views: list[pj.JointView], unknown: pj.Camera, **more: Any) -> Split:
+    """Return odd and even views of a robot; each half starts from the fit to all views."""
+    whole = pj.fit_joint(views, unknown, search=True)
+    return name, lambda half: pj.fit_joint(half, whole.camera, **more), (views[::2], views[1::2])
+
+
+def robot_splits() -> Iterator[Split]:
+    unknown = given_camera(K, np.eye(3), np.zeros(3), 960, 540)
+    for side in ("left", "right"):
+        yield views_split(f"KUKA, {side} eye", postures(side), unknown)
+    numbers = np.loadtxt(PANDA / "K.txt")
+    unknown = given_camera(numbers.reshape(3, 3), np.eye(3), np.zeros(3), 640, 480)
+    robot, given = (
+        pj.robots.load_urdf(PANDA / "panda.urdf", HAND),
+        json.loads((PANDA / "joints.json").read_text()),
+    )
+    views = [
+        pj.JointView(
+            robot.scene(dict(zip(given["names"], angles, strict=True))),
+            pj.io.load_mask(PANDA / f"mask_{k}.png"),
+        )
+        for k, angles in enumerate(given["postures"])
+    ]
+    yield views_split("Panda", views, unknown)
+
+
+def outline_splits() -> Iterator[Split]:
+    """Yield alternate blocks of each lone outline."""
+    for title, scene, mask, truth, _ in itertools.chain(bottle(), cow(), implants()):
+        free = ("pose", "phi") if title == "cow" else ("pose",)
+        whole = pj.fit_camera(scene, mask, off(truth, scene), free)
+        refit = lambda w, s=scene, m=mask, c=whole.camera, f=free: pj.fit_camera(
+            s, m, c, f, weight=w
+        )
+        yield title, refit, pj.outline_halves(mask, whole.mask_error)
+
+
+def board_splits() -> Iterator[Split]:
+    """Yield odd and even photos of a chessboard: what they share is the lens."""
+    points, (seen_at, size) = board(), corners(BOARDS)
+    film, lens = film_of(seen_at, size[1]), by_fit(points, seen_at, size)[1][0].camera
+    yield "chessboards", lambda x: pj.fit_points(points, x, lens), (film[::2], film[1::2])
+
+
+def corner_splits() -> Iterator[Split]:
+    """Yield odd and even corners of each photo, with the lens that all photos show."""
+    points, (seen_at, size) = board(), corners(BOARDS)
+    odd = np.arange(len(points)) % 2
+    seen = zip(film_of(seen_at, size[1]), by_fit(points, seen_at, size)[1], strict=True)
+    for k, (film, fit) in enumerate(seen):
+        refit = lambda w, x=film, c=fit.camera: pj.fit_points(points, x, c, weights=w)
+        yield f"corners {k}", refit, (odd, 1 - odd)
+
+
+SPLITS = {
+    "robots": (LBR, robot_splits),
+    "outlines": (DATA, outline_splits),
+    "boards": (BOARDS, board_splits),
+    "corners": (BOARDS, corner_splits),
+}
+
+
+def split(asked: Asked) -> dict:
+    rows = []
+    for kind in asked.names(SPLITS):
+        path, splits = SPLITS[kind]
+        for name, refit, halves in splits() if there(path) else ():
+            check = pj.split_check(refit, halves)
+            part = check.parts[0]
+            row = {"": name, "kind": kind, "statuses": ", ".join(sorted({*check.statuses}))}
+            row |= {"rms": check.rms, "chance": check.chance, "count": check.parameters}
+            row |= {"degrees": float(np.rad2deg(part.angle)), "shift": part.shift}
+            rows.append(row)
+            print(f"{name}: {check}", flush=True)
+            if asked.quick:
+                break
+    show(rows)
+    sets = {
+        kind: pooled(row for row in rows if row["kind"] == kind) for kind in asked.names(SPLITS)
+    }
+    wide = [f"{name} {rms:.2f}" for name, rms in sets.items()]
+    return {"verdict": f"rms in sigma: {', '.join(wide)}", "sets": sets, "table": rows}
+
+
+def pooled(rows: Iterable[dict]) -> float:
+    """Return the rms in sigma over all parameters of some checks."""
+    known = [(row["count"] * row["rms"] ** 2, row["count"]) for row in rows if row["count"]]
+    squares, counts = np.sum(known, axis=0) if known else (np.nan, 1)
+    return float((squares / counts) ** 0.5)
 
 
 # Photos
@@ -527,5 +633,5 @@ def processor_seconds(line: list[str], **environment: str) -> float:
 
 
 if __name__ == "__main__":
-    parts = (single, robots, knee, chessboards, photos, demos, command)
+    parts = (single, robots, knee, chessboards, split, photos, demos, command)
     main(__doc__, {f.__name__: f for f in parts})

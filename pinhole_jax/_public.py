@@ -23,6 +23,12 @@ from ._fit.full_image import residuals as residuals
 from ._fit.metrics import iou as iou, pose_error as pose_error
 from ._fit.observability import Observability as Observability, observability as observability
 from ._fit.result import Fit as Fit, Progress as Progress
+from ._halves import (
+    SplitCheck as SplitCheck,
+    SplitPart as SplitPart,
+    outline_halves as outline_halves,
+    split_check as split_check,
+)
 from ._joint.fit_cameras import fit_cameras as fit_cameras
 from ._joint.fit_joint import fit_joint as fit_joint
 from ._joint.joint_fit import JointFit as JointFit

@@ -573,12 +573,26 @@ def test_fit_with_K_needs_no_pose(here):
 def test_check_ends_with_its_finding(here, status, sigma, ended, monkeypatch, capsys):
     fit = fit_of(CAMERA, ("e_x",), [0.01])._replace(status=status)
     check = "pinhole_jax._command.check."
-    monkeypatch.setattr(f"{check}_mesh_fit", lambda *_: fit)
+    monkeypatch.setattr(f"{check}fit_camera", lambda *_, **__: fit)
     monkeypatch.setattr(f"{check}drift", lambda *_: pj.drift(fit, fit)._replace(sigma=sigma))
-    assert main("check truth.json a.ply b.png") == ended
+    assert main("check truth.json bumpy.ply mask.png") == ended
     out = capsys.readouterr().out
     assert ended or "not moved: 1.0 sigma" in out
     assert status == "non_finite" or f"status     {status}   (" in out
+
+
+@pytest.mark.parametrize(("times", "ended"), [(1.0, 0), (0.1, 1)])
+def test_check_of_halves_ends_with_its_finding(here, times, ended, monkeypatch, capsys):
+    """Both halves' eyes are a standard error off, one each way, or ten."""
+
+    def fit_camera(*_, weight=None):
+        side = 0 if weight is None else 1 if weight[0, 0] else -1
+        camera = CAMERA.replace(phi=CAMERA.phi + 0.001 * side)
+        return fit_of(camera, ("phi",), [0.001 * times])._replace(status="converged")
+
+    monkeypatch.setattr("pinhole_jax._command.check.fit_camera", fit_camera)
+    assert main("check truth.json bumpy.ply mask.png --split --free phi") == ended
+    assert ("TOO NARROW" in capsys.readouterr().out) == bool(ended)
 
 
 @pytest.mark.parametrize(

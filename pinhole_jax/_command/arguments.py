@@ -143,12 +143,14 @@ VERBS = {
         f"{STATUS}\n\n{MASKS}\n{FILES}",
     ),
     "check": Verb(
-        "tell from a new mask whether a camera has moved, and how",
+        "tell from a new mask whether a camera has moved, or whether error bars hold",
         "Compare CAMERA with the camera that sees MESH as MASK: has it moved, by how many\n"
         "standard errors, and which way? For a robot: check CAMERA ROBOT.urdf JOINTS MASK...\n"
-        "Exit status: 0 it has not moved, 1 it has, 3 the masks cannot tell, 2 bad input.",
-        "camera mesh files --in-hand --leave-out --free --mask-from --tidy|--no-tidy --verbose"
-        " -o/--output --no-cache",
+        "With --split: do two halves of the outline, or of a robot's views, agree?\n"
+        "Exit status: 0 it has not moved (halves agree), 1 it has (they do not), 3 the masks\n"
+        "cannot tell, 2 bad input.",
+        "camera mesh files --split --in-hand --leave-out --free --mask-from --tidy|--no-tidy"
+        " --verbose -o/--output --no-cache",
         "out/camera.json part.stl mask.png",
         f"{STATUS}\n\n{MASKS}\n{FILES}",
     ),
@@ -270,6 +272,10 @@ OPTIONS: dict[str, tuple[str, str] | tuple[str, str, dict[str, Any]]] = {
         "find the zeros of the turning joints, too, which are known to this many degrees",
         {"type": float},
     ),
+    "--split": (
+        "",
+        "fit two halves of MASK's outline (odd and even MASKs of a robot); compare them",
+    ),
     "--holdout": ("", "fit each half of the postures, too, and compare them"),
     "--propose": (
         "JOINTS",
@@ -312,7 +318,7 @@ OPTIONS: dict[str, tuple[str, str] | tuple[str, str, dict[str, Any]]] = {
 GROUPS = {
     "camera": "--camera --K --fov --dist --pixel-centres --crop --resize --up --in-hand --start",
     "masks": "--mask --mask-from --invert --tidy --no-tidy --weight --models --detections",
-    "fit": "--free --refine --joint-zeros --leave-out --holdout --propose --track",
+    "fit": "--free --refine --joint-zeros --leave-out --holdout --split --propose --track",
     "rows": "--workers --shard --resume --retry --time-limit --merge --write",
     "output": "-o/--output --report --image --images --verbose --no-cache --port --no-browser",
 }

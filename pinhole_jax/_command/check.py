@@ -1,8 +1,21 @@
-"""`pinhole-jax check`: has a camera moved since its fit?"""
+"""`pinhole-jax check`: has a camera moved since its fit, and do its error bars hold?"""
 
 import argparse
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
-from .. import Camera, Fit, drift, fit_camera, fit_joint, formats, io
+from .. import (
+    Camera,
+    Fit,
+    JointFit,
+    drift,
+    fit_camera,
+    fit_joint,
+    formats,
+    io,
+    outline_halves,
+    split_check,
+)
 from .._files.naming import named
 from .._files.progress import Ticker
 from ..batch.inputs import read_mask, read_scene
@@ -15,28 +28,70 @@ from .outputs import check_outputs, replacement_words
 UNTOLD = 3
 
 
+class CheckData(NamedTuple):
+    """What masks show: how to fit a camera to all of the `data`, or to a half of them, from a
+    camera; and how to halve them, once a fit to all is there."""
+
+    data: Any
+    fitted: Callable[[Any, Camera], Fit | JointFit]
+    halved: Callable[[Any], tuple[Any, Any]]
+
+
 def run(options: argparse.Namespace, progress: Ticker) -> int:
-    """Fit from the camera and print its motion; return 0, 1 if it has moved, or `UNTOLD`."""
+    """Fit from the camera; print its motion, or with --split how far halves of the masks differ.
+
+    Return 0, 1 if it has moved or error bars are too narrow, or `UNTOLD`.
+    """
     check_outputs(output=options.output)
     reference = _reference(options.camera)
     before = reference.camera if isinstance(reference, Fit) else reference
-    of_robot = options.mesh.lower().endswith(".urdf")
-    fit = (_robot_fit if of_robot else _mesh_fit)(options, before, progress)
-    progress.done()
+    is_robot = options.mesh.lower().endswith(".urdf")
+    subject = (_robot if is_robot else _mesh)(options, progress)
+    whole = subject.fitted(subject.data, before)
+    fit = _camera_fit(whole)
     if fit.status == "non_finite":
+        progress.done()
         print("cannot tell: NaN or infinity turned up")
         return UNTOLD
-    motion = drift(fit, reference)
-    print(motion)
+    found = _split(subject, whole, fit, progress) if options.split else _motion(fit, reference)
+    progress.done()
+    words, untold, wrong = found
+    print(words)
     print(f"status     {fit.status}   ({STATUSES[fit.status]})")
-    for words in fit.weak:
-        print(f"weak       {words}")
+    for weak in fit.weak:
+        print(f"weak       {weak}")
     if options.output is not None:
         there = replacement_words([options.output])
         with named(path="output"):
             io.save_fit(options.output, fit)
         print(f"written    {options.output}{there}")
-    return UNTOLD if fit.status != "converged" else int(motion.moved)
+    return UNTOLD if untold else int(wrong)
+
+
+class Finding(NamedTuple):
+    """What to print; whether the question stays open; whether something is wrong."""
+
+    words: str
+    untold: bool
+    wrong: bool
+
+
+def _motion(fit: Fit, reference: Camera | Fit) -> Finding:
+    motion = drift(fit, reference)
+    return Finding(str(motion), fit.status != "converged", motion.moved)
+
+
+def _split(subject: CheckData, whole: Fit | JointFit, fit: Fit, progress: Ticker) -> Finding:
+    progress.say("fitting each half")
+    refit = lambda half: subject.fitted(half, fit.camera)
+    check = split_check(refit, subject.halved(whole))
+    return Finding(str(check), not check.tells, not check.agrees)
+
+
+def _camera_fit(fit: Fit | JointFit) -> Fit:
+    if isinstance(fit, Fit):
+        return fit
+    return fit.cameras["camera"]._replace(status=fit.status)
 
 
 def _reference(path: str) -> Camera | Fit:
@@ -49,20 +104,23 @@ def _reference(path: str) -> Camera | Fit:
             return camera
 
 
-def _mesh_fit(options: argparse.Namespace, camera: Camera, progress: Ticker) -> Fit:
+def _mesh(options: argparse.Namespace, progress: Ticker) -> CheckData:
     if len(options.files) != 1:
         raise ValueError("`MASK`: expected one image of MESH (of a robot: ROBOT.urdf JOINTS MASKs)")
     mask = read_mask(record_of(options, mask=options.files[0]), progress.tell)
     scene = read_scene(options.mesh, progress.tell)
     progress.say("fitting (the first time compiles, some seconds)")
-    return fit_camera(scene, mask, camera, options.free)
+    fitted = lambda weight, start: fit_camera(scene, mask, start, options.free, weight=weight)
+    return CheckData(None, fitted, lambda fit: outline_halves(mask, fit.mask_error))
 
 
-def _robot_fit(options: argparse.Namespace, camera: Camera, progress: Ticker) -> Fit:
+def _robot(options: argparse.Namespace, progress: Ticker) -> CheckData:
     if len(options.files) < 2:
         raise ValueError("`MASK`: expected JOINTS, and an image for each of its rows, got none")
     options.robot, (options.joints, *options.masks) = options.mesh, options.files
     views = read_views(read_robot(options), options, progress.tell)
+    if options.split and len(views) < 2:
+        raise ValueError("`split`: expected at least two views of a robot, got one")
     progress.say(f"fitting {len(views)} views (the first time compiles, some seconds)")
-    fit = fit_joint(views, camera, options.free)
-    return fit.cameras["camera"]._replace(status=fit.status)
+    fitted = lambda views, start: fit_joint(views, start, options.free)
+    return CheckData(views, fitted, lambda _: (views[::2], views[1::2]))

@@ -169,19 +169,27 @@ def _covariance(fit: Fit, held: Sequence[str] | None = None) -> Any:
     return covariance
 
 
-def _sigma(change: np.ndarray, covariance: np.ndarray) -> float:
-    """The significance of a change, as the distance of a normal number from its mean."""
-    from scipy.stats import chi2, norm
-
+def squared_sigmas(change: np.ndarray, covariance: np.ndarray) -> tuple[float, int]:
+    """The square of a change in standard errors (Mahalanobis), and how many of its numbers are
+    determined: chi-squared with as many degrees of freedom."""
     known = np.isfinite(np.diagonal(covariance))
     change, covariance = change[known], covariance[np.ix_(known, known)]
     if not change.size:
-        return 0.0
+        return 0.0, 0
     scale = np.sqrt(np.diagonal(covariance))
     scale = np.where(scale > 0, scale, 1)
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
     # (What rounding leaves of a direction that is exactly known is no error bar.)
     values = np.maximum(values, 1e-12 * values[-1])
-    squares = float(np.sum((vectors.T @ (change / scale)) ** 2 / values))
-    log = float(chi2.logsf(squares, change.size))
+    return float(np.sum((vectors.T @ (change / scale)) ** 2 / values)), change.size
+
+
+def _sigma(change: np.ndarray, covariance: np.ndarray) -> float:
+    """The significance of a change, as the distance of a normal number from its mean."""
+    from scipy.stats import chi2, norm
+
+    squares, count = squared_sigmas(change, covariance)
+    if not count:
+        return 0.0
+    log = float(chi2.logsf(squares, count))
     return float(norm.isf(np.exp(log) / 2)) if log > -600 else float(np.sqrt(squares))
