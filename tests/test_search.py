@@ -15,7 +15,7 @@ from pinhole_jax._mask.search import VIEWS, sphere_points
 from pinhole_jax._mask.signatures import ANGLES, distances, facing, signatures
 from pinhole_jax._mask.thumbnails import SIZE, axes_inward, thumbnails
 from pinhole_jax._scene import coarse
-from pinhole_jax._scene.scene import ball_about, bounding_box, padded, with_or_without_border
+from pinhole_jax._scene.scene import ball_about, bounding_box, padded
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def test_facing_turns_to_a_direction():
 
 
 @pytest.mark.usefixtures("in_arrays")  # (the library never sums layers)
-@pytest.mark.parametrize("what", first(1, ["closed", "open", "border untold", "spheres"]))
+@pytest.mark.parametrize("what", first(1, ["closed", "open", "filled up", "spheres"]))
 def test_thumbnails_are_silhouettes_whose_layers_are_clamped(what):
     random = np.random.default_rng(0)
     box = trimesh.creation.box((1, 2, 3)).apply_translation((7, 0, 0))
@@ -71,7 +71,7 @@ def test_thumbnails_are_silhouettes_whose_layers_are_clamped(what):
     ball = ball_about(np.asarray(bounding_box(scene), float))
     directions, phi = sphere_points(5), 2 * np.arcsin(1 / 1.5)
     axes = axes_inward(directions)
-    drawn = with_or_without_border(padded(scene)) if what == "border untold" else scene
+    drawn = padded(scene) if what == "filled up" else scene
     images = thumbnails(drawn, ball, 1.5 * directions, axes, phi)
     for direction, (_, b2, v), image in zip(directions, axes, images, strict=True):
         eye = ball.centre + 1.5 * ball.radius * direction

@@ -13,14 +13,12 @@ def in_chunks(
     start: Any,
     size: int,
     end: Int[Array, ""],
-    begin: Int[Array, ""] | None = None,
 ) -> Any:
-    """Return `start` after `add(total, first)` for each chunk of numbers from `begin` (or 0) up to
-    `end`, which begins with `first`; the last one may reach beyond the end."""
+    """Return `start` after `add(total, first)` for each chunk of numbers from 0 up to `end`,
+    which begins with `first`; the last one may reach beyond the end."""
 
     def body(state: tuple[Array, Any]) -> tuple[Array, Any]:
         first, total = state
         return first + size, add(total, first)
 
-    place = jnp.int32(0) if begin is None else begin
-    return jax.lax.while_loop(lambda s: s[0] < end, body, (place, start))[1]
+    return jax.lax.while_loop(lambda s: s[0] < end, body, (jnp.int32(0), start))[1]

@@ -6,11 +6,9 @@ cancel.
 """
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from .planes import Planes
 from .scene import Mesh
 from .topology import edge_records
 
@@ -24,19 +22,14 @@ def seen_from_afar(mesh: Mesh) -> Mesh:
     """Return a mesh of a few ten thousand faces that looks like a fine one, to within a cell.
 
     Coarse meshes are returned as they are. For pictures that are drawn from the edge records
-    (`_mask.thumbnails`) only: planes and the faces' order are left out.
+    (`_mask.thumbnails`) only: edges are in no order.
     """
     if mesh.faces.shape[0] < FINE:
         return mesh
     vertices, faces = _joined(np.asarray(mesh.vertices), np.asarray(mesh.faces))
-    edge_vertices, edge_faces = edge_records(faces, None, len(vertices))
-    none = jnp.zeros((3, 0))
-    planes = Planes(none, none, jnp.zeros((2, 3)), jnp.zeros((), jnp.uint32))
-    return eqx.tree_at(
-        lambda m: (m.vertices, m.faces, m.edge_vertices, m.edge_faces, m.planes, m.order),
-        mesh,
-        (vertices, faces, edge_vertices, edge_faces, planes, np.zeros(0, np.int32)),
-    )
+    edges = edge_records(faces, None, len(vertices))
+    arrays = lambda m: (m.vertices, m.faces, m.edge_vertices, m.edge_faces)
+    return eqx.tree_at(arrays, mesh, (vertices, faces, *edges))
 
 
 def _joined(

@@ -1,4 +1,4 @@
-"""The scene before a camera: `Mesh`, `Spheres`, `Scene`; computed once per mesh: edges, planes."""
+"""The scene before a camera: `Mesh`, `Spheres`, `Scene`; edges are found once per mesh."""
 
 import warnings
 from typing import Any, NamedTuple, Protocol
@@ -20,7 +20,7 @@ from .._numerics.arrays import (
     is_concrete,
     stands_alone,
 )
-from .planes import Planes, box_of, fingerprint, in_front, planes_of
+from .._numerics.safe import binary_scale
 from .topology import edge_records, without_copies
 
 #: A mesh with more than this share of its edges at a border is checked for vertices that stand at
@@ -54,9 +54,7 @@ class Mesh(eqx.Module):
     Computed once, on the host: the edges with the faces on either side. An edge record (a, b)
     runs as in its first face; the second face, if any, runs through it from b to a, and is -1 at a
     border. Edges that more than two faces, or two of opposite winding, share have several records.
-    `closed`: there is no border, the mesh is closed and consistently wound (per shared vertex
-    index; `load_mesh` merges equal vertices). `order` lists the faces along a space-filling curve,
-    for the tracer; the edges follow their first faces along it.
+    They follow their first faces along a space-filling curve.
 
     `vertices` may be traced and differentiated, also by way of `eqx.tree_at`; `faces` may not.
     Raises ValueError for wrong shapes or dtypes, non-finite vertices and indices out of range.
@@ -72,9 +70,6 @@ class Mesh(eqx.Module):
     faces: Int[Array, "F 3"]
     edge_vertices: Int[Array, "E 2"]
     edge_faces: Int[Array, "E 2"]
-    planes: Planes
-    order: Int[Array, "F"]
-    closed: bool | None = eqx.field(static=True)
 
     def __init__(
         self,
@@ -94,21 +89,28 @@ class Mesh(eqx.Module):
             triangles = without_copies(points, triangles)
             _warn_if_coarse(points)
         edge_vertices, edge_faces = edge_records(triangles, points if known else None, len(points))
-        order = _face_order(points, triangles)
         if known and edge_faces.size:
-            rank = np.empty(len(triangles), np.int32)
-            rank[order] = np.arange(len(triangles), dtype=np.int32)
-            along = np.argsort(rank[edge_faces[:, 0]], kind="stable")
+            with np.errstate(all="ignore"):
+                middles = sum(np.take(points, corner, axis=0) for corner in triangles.T) / 3
+                codes = morton_codes(middles)
+            along = np.argsort(codes[edge_faces[:, 0]], kind="stable")
             edge_vertices, edge_faces = edge_vertices[along], edge_faces[along]
         # (With no type named, JAX compiles a copy of an array of each size.)
-        self.faces, self.order, self.edge_vertices, self.edge_faces = (
-            jnp.asarray(x, np.int32) for x in (triangles, order, edge_vertices, edge_faces)
+        self.faces, self.edge_vertices, self.edge_faces = (
+            jnp.asarray(x, np.int32) for x in (triangles, edge_vertices, edge_faces)
         )
-        self.planes = planes_of(points, triangles)
-        self.closed = bool(np.all(edge_faces >= 0))
         borders = np.count_nonzero(edge_faces < 0)
         if known and borders > MOSTLY_BORDER * len(edge_faces):
             _warn_if_loose(points, triangles)
+
+    @property
+    def closed(self) -> Bool[Array, ""] | bool:
+        """True without a border: the mesh is closed and consistently wound.
+
+        Per shared vertex index; `load_mesh` merges equal vertices. Traced as the mesh is.
+        """
+        without_border = (at_hand(self.edge_faces) >= 0).all()
+        return bool(without_border) if is_concrete(without_border) else without_border
 
 
 class Spheres(eqx.Module):
@@ -177,83 +179,35 @@ def check_scene(scene: Any) -> None:
         raise ValueError("`scene`: expected a Scene with a mesh or spheres, got an empty one")
 
 
-def astype(scene: Scene, dtype: Any) -> Scene:
-    """Return the scene in a float type, with new planes if the vertices change."""
-    mesh, spheres = scene.mesh, scene.spheres
-    if mesh is not None and mesh.vertices.dtype != dtype:
-        mesh = with_vertices(mesh, mesh.vertices.astype(dtype))
-    if spheres is not None and spheres.radii.dtype != dtype:
-        spheres = jax.tree.map(lambda x: x.astype(dtype), spheres)
-    return Scene(mesh=mesh, spheres=spheres)
+def astype(scene: Scene, dtype: np.dtype) -> Scene:
+    """Return the scene in a float type."""
+    cast = lambda x: x.astype(dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x
+    return jax.tree.map(cast, scene)
 
 
-def with_vertices(mesh: Mesh, vertices: Float[Array, "V 3"]) -> Mesh:
-    """Return the mesh with other vertices, and their planes."""
-    planes = planes_of(vertices, mesh.faces)
-    return eqx.tree_at(lambda m: (m.vertices, m.planes), mesh, (vertices, planes))
+def with_vertices(mesh: Mesh, vertices: Float[Array | np.ndarray, "V 3"]) -> Mesh:
+    """Return the mesh with other vertices."""
+    return eqx.tree_at(lambda m: m.vertices, mesh, vertices)
 
 
 def padded(scene: Scene) -> Scene:
     """Return the scene with its mesh's arrays filled up to one of a few sizes.
 
     Added faces are on no contour, so the silhouette is the same, and meshes of similar size share
-    compiled programs. Not for tracing: the faces' order is left out.
+    compiled programs.
     """
     mesh = scene.mesh
     if mesh is None or not mesh.edge_faces.shape[0]:
         return scene
-    planes, points = mesh.planes, np.asarray(mesh.vertices)
-    if planes.fingerprint is not None and int(planes.fingerprint) != fingerprint(points, np):
-        planes = planes_of(points, mesh.faces)
-    V, F, E = _filled_sizes(len(points), mesh.faces.shape[0], mesh.edge_faces.shape[0])
-    arrays = (points, V), (mesh.faces, F), (mesh.edge_vertices, E), (mesh.edge_faces, E)
-    normal, corner = (_with_room(x, F, 1) for x in (planes.normal, planes.corner))
-    new = (
-        *(_with_room(x, size, 0) for x, size in arrays),
-        jnp.asarray(np.zeros(0, np.int32), jnp.int32),
-        Planes(normal, corner, planes.box, planes.fingerprint),
-    )
-    where = lambda m: (
-        m.vertices,
-        m.faces,
-        m.edge_vertices,
-        m.edge_faces,
-        m.order,
-        m.planes,
-    )
-    return Scene(mesh=eqx.tree_at(where, mesh, new), spheres=scene.spheres)
+    V, F, E = _filled_sizes(len(mesh.vertices), len(mesh.faces), len(mesh.edge_faces))
+    arrays = lambda m: (m.vertices, m.faces, m.edge_vertices, m.edge_faces)
+    filled = map(_with_room, arrays(mesh), (V, F, E, E))
+    return Scene(mesh=eqx.tree_at(arrays, mesh, (*filled,)), spheres=scene.spheres)
 
 
-def with_or_without_border(scene: Scene) -> Scene:
-    """Return the scene with a small mesh that hides from a compiler if it is closed: open meshes
-    share programs with closed ones."""
-    mesh = scene.mesh
-    if mesh is None or len(mesh.vertices) not in FILLED_UP:
-        return scene
-    mesh = jax.tree.map(lambda x: x, mesh)  # (equinox never lets go of the results of `copy`)
-    object.__setattr__(mesh, "closed", None)  # (`tree_at` changes no static field)
-    return Scene(mesh=mesh, spheres=scene.spheres)
-
-
-def at_rest(scene: Scene) -> Scene:
-    """Return a scene whose planes are current and stay so: no view checks their fingerprint, which
-    takes as long as finding the contour of millions of faces."""
-    if scene.mesh is None:
-        return scene
-    where = lambda s: s.mesh.planes.fingerprint
-    return eqx.tree_at(where, scene, None, is_leaf=lambda x: x is None)
-
-
-def is_closed(mesh: Mesh) -> Array | bool:
-    """Return the mesh's `closed`, or a traced bool where a compiler does not know it."""
-    return jnp.all(mesh.edge_faces >= 0) if mesh.closed is None else mesh.closed
-
-
-def _with_room(x: Array | np.ndarray, size: int, axis: int) -> Array:
+def _with_room(x: Array, size: int) -> Array:
     """Return an array, filled up by NumPy: JAX would compile that for each size."""
-    widths = [(0, 0)] * x.ndim
-    widths[axis] = (0, size - x.shape[axis])
-    return jnp.asarray(np.pad(np.asarray(x), widths), x.dtype)
+    return jnp.asarray(np.pad(np.asarray(x), ((0, size - len(x)), (0, 0))), x.dtype)
 
 
 def _filled_sizes(vertices: int, faces: int, edges: int) -> tuple[int, int, int]:
@@ -268,26 +222,18 @@ def _filled_sizes(vertices: int, faces: int, edges: int) -> tuple[int, int, int]
     return up(vertices), up(faces), up(edges)
 
 
-@eqx.filter_jit
-def planes_are_current(mesh: Mesh) -> Bool[Array, ""]:
-    """Return True if the planes were made from the vertices as they are now."""
-    if mesh.planes.fingerprint is None:
-        return jnp.array(True)
-    return mesh.planes.fingerprint == fingerprint(mesh.vertices)
-
-
 def front_facing(mesh: Mesh, e: Float[Array, "3"]) -> Bool[Array, "F"]:
     """Return the faces that show their front (counter-clockwise) side to the eye; edge-on: False.
 
-    Uses the stored planes, or new ones where the vertices have changed since (by `eqx.tree_at`, an
-    optimiser's update): they are never stale.
+    The eye is taken from a face's own corner: in a scene much larger than the object nothing is
+    lost. Normals have a unit of the mesh's own, so that they neither overflow nor vanish.
     """
-    mesh, e = jax.lax.stop_gradient((mesh, e))
-    return jax.lax.cond(
-        planes_are_current(mesh),
-        lambda: in_front(mesh.planes, e),
-        lambda: in_front(planes_of(mesh.vertices, mesh.faces), e),
-    )
+    points, e = jax.lax.stop_gradient((mesh.vertices, e))
+    a, b, c = (points[corner].T for corner in mesh.faces.T)
+    unit = binary_scale(points) / 4
+    (bx, by, bz), (cx, cy, cz) = (b - a) * unit, (c - a) * unit
+    x, y, z = e[:, None] - a
+    return (by * cz - bz * cy) * x + (bz * cx - bx * cz) * y + (bx * cy - by * cx) * z > 0
 
 
 class Ball(NamedTuple):
@@ -301,14 +247,15 @@ def bounding_box(scene: Scene) -> Float[Array, "2 3"]:
     """Return the least and largest coordinates of the scene."""
     if stands_alone(scene):
         scene = jax.tree.map(np.asarray, scene)  # (JAX would compile that for each size)
-    points: list[Any] = []
+    points: list[Array | np.ndarray] = []
     if scene.mesh is not None:
         points.append(scene.mesh.vertices)
     if scene.spheres is not None:
         centers, radii = scene.spheres.centers, scene.spheres.radii[:, None]
         points += [centers - radii, centers + radii]
     xp = np if isinstance(points[0], np.ndarray) else jnp
-    box = box_of(xp.concatenate(points), xp)
+    every = xp.concatenate(points)
+    box = xp.stack([every.min(axis=0), every.max(axis=0)])
     return jnp.asarray(box, box.dtype)
 
 
@@ -324,25 +271,6 @@ def ball_about(box: Any) -> Ball:
     size = abs(half).max()
     unit = half / (size + (size == 0).astype(half.dtype))  # squares do not overflow
     return Ball(low + half, size * (unit**2).sum() ** 0.5)
-
-
-def vertex_box(mesh: Mesh) -> Float[Array, "2 3"]:
-    """Return the least and largest coordinates of the vertices: the stored ones, if current."""
-    mesh = jax.lax.stop_gradient(mesh)
-    return jax.lax.cond(
-        planes_are_current(mesh), lambda: mesh.planes.box, lambda: box_of(mesh.vertices)
-    )
-
-
-def _face_order(points: Array | np.ndarray, faces: np.ndarray) -> Array | np.ndarray:
-    """Return the order of the faces by their middles' Morton codes."""
-    if not (faces.shape[0] and points.shape[0]):
-        return np.zeros(faces.shape[0], np.int32)
-    if not isinstance(points, np.ndarray):
-        return morton_order(jnp.mean(jax.lax.stop_gradient(points)[faces], axis=1))
-    with np.errstate(all="ignore"):
-        middles = sum(np.take(points, corner, axis=0) for corner in faces.T) / 3
-        return np.argsort(morton_codes(middles), kind="stable").astype(np.int32)
 
 
 @jax.jit

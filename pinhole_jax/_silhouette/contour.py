@@ -19,7 +19,7 @@ from .._camera.film import Bend, FilmMap, film_points
 from .._native.rasteriser import sphere_frames
 from .._numerics.running import running_sum
 from .._numerics.safe import binary_inverse, norm, safe_divide
-from .._scene.scene import Mesh, Scene, Spheres, front_facing, is_closed
+from .._scene.scene import Mesh, Scene, Spheres, front_facing
 from .clip import Homogeneous, cut_off
 from .conics import arc_end, film_at, homogeneous
 from .pieces import Arcs, Monotone
@@ -226,7 +226,7 @@ def contour_weights(mesh: Mesh, e: Float[Array, "3"]) -> Int[Array, "E"]:
     """
     front, (first, second) = front_facing(mesh, e), mesh.edge_faces.T
     border, positive = second < 0, front[first]
-    inner = 1 if mesh.closed else jnp.where(border | is_closed(mesh), 1, 2)
+    inner = jnp.where(border | mesh.closed, 1, 2)
     seen = border | (front[jnp.maximum(second, 0)] != positive)
     return jnp.where(seen, jnp.where(positive, inner, -inner), 0)
 

@@ -2,12 +2,11 @@
 
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from .._camera.film import FilmMap, film_points
 from .._numerics.safe import binary_inverse, dot, norm, normalize, safe_sqrt
-from .._scene.scene import Mesh, Scene, front_facing, is_closed, vertex_box
+from .._scene.scene import Mesh, Scene, front_facing
 
 #: A number of layers that covers everything.
 EVERYWHERE = 1 << 20
@@ -22,10 +21,10 @@ def surrounding(film: FilmMap, scene: Scene) -> Int[Array, ""]:
     layers = jnp.int32(0)
     film, scene = jax.lax.stop_gradient((film, scene))
     if scene.mesh is not None and scene.mesh.faces.shape[0]:
-        mesh = scene.mesh
+        mesh, points = scene.mesh, film_points(film, scene.mesh.vertices)
         layers = layers + jax.lax.cond(
-            jnp.any(_corners(film, vertex_box(mesh))[:, 2] <= 0),
-            lambda: _layers_on_the_left(mesh, film),
+            jnp.any(points[:, 2] <= 0),
+            lambda: _layers_on_the_left(mesh, points, front_facing(mesh, film.eye)),
             lambda: jnp.int32(0),
         )
     if scene.spheres is not None and scene.spheres.radii.shape[0]:
@@ -40,19 +39,14 @@ def surrounding(film: FilmMap, scene: Scene) -> Int[Array, ""]:
     return layers
 
 
-def _corners(film: FilmMap, bounds: Float[Array, "2 3"]) -> Float[Array, "8 3"]:
-    """The corners of a box in space as homogeneous film points."""
-    which = np.stack(np.meshgrid(*[np.arange(2)] * 3, indexing="ij"), axis=-1).reshape(8, 3)
-    return film_points(film, jnp.stack([bounds[which[:, k], k] for k in range(3)], axis=-1))
-
-
-def _layers_on_the_left(mesh: Mesh, film: FilmMap) -> Int[Array, ""]:
+def _layers_on_the_left(
+    mesh: Mesh, points: Float[Array, "V 3"], front: Bool[Array, "F"]
+) -> Int[Array, ""]:
     """The number of layers on the ray along -x from the eye, by signed crossings.
 
     The ray is thought to lie a little below y = 0, and much less in front of z = 0, so that it
     never meets an edge.
     """
-    points = film_points(film, mesh.vertices)
     points = points * binary_inverse(jnp.max(jnp.abs(points), axis=1))[:, None]
     corners = mesh.faces.T
     toward, signs = jnp.zeros(len(mesh.faces), points.dtype), jnp.zeros(len(mesh.faces), jnp.int32)
@@ -63,9 +57,9 @@ def _layers_on_the_left(mesh: Mesh, film: FilmMap) -> Int[Array, ""]:
     # 1 where the ray leaves, -1 where it enters.
     crossings = jnp.where(met, -jnp.sign(signs), 0)
     total = lambda x: jnp.sum(x, dtype=jnp.int32)
-    fronts = total(jnp.where(front_facing(mesh, film.eye), crossings, 0))
+    fronts = total(jnp.where(front, crossings, 0))
     inside = jnp.where(total(crossings) != 0, EVERYWHERE, 0)
-    return jnp.where(is_closed(mesh), fronts + inside, 2 * fronts - total(crossings))
+    return jnp.where(mesh.closed, fronts + inside, 2 * fronts - total(crossings))
 
 
 def _side(points: Float[Array, "V 3"], first: Int[Array, "F"], second: Int[Array, "F"]):

@@ -11,16 +11,7 @@ from .._camera.axes import axes_of
 from .._camera.camera import Camera
 from .._mask.target import Window
 from .._scene.coarse import seen_from_afar
-from .._scene.scene import (
-    Ball,
-    Scene,
-    astype,
-    at_rest,
-    ball_about,
-    bounding_box,
-    padded,
-    with_or_without_border,
-)
+from .._scene.scene import Ball, Scene, astype, ball_about, bounding_box, padded
 from .revolution import Revolution, revolutions, some_of
 from .symmetry import Turn, turns_of_a_mesh
 
@@ -113,7 +104,7 @@ def on_film_plane(camera: Camera, points: np.ndarray) -> np.ndarray:
 
 
 def _worked_on(scene: Scene, dtype: Any) -> Scene:
-    return at_rest(with_or_without_border(padded(astype(scene, dtype))))
+    return padded(astype(scene, dtype))
 
 
 def _corners(box: np.ndarray) -> np.ndarray:

@@ -91,7 +91,7 @@ def _mesh_tree(scene: Scene) -> Tree | None:
         return None
     corners = mesh.vertices[mesh.faces]
     low, high = jnp.min(corners, axis=1), jnp.max(corners, axis=1)
-    return _tree(mesh.order, low, high, corners, None)
+    return _tree(low, high, corners, None)
 
 
 def _sphere_tree(scene: Scene) -> Tree | None:
@@ -99,10 +99,11 @@ def _sphere_tree(scene: Scene) -> Tree | None:
         return None
     centers, radii = scene.spheres.centers, scene.spheres.radii
     size = radii[:, None]
-    return _tree(morton_order(centers), centers - size, centers + size, centers[:, None], radii)
+    return _tree(centers - size, centers + size, centers[:, None], radii)
 
 
-def _tree(order: Array, low: Array, high: Array, data: Array, radius: Array | None) -> Tree:
+def _tree(low: Array, high: Array, data: Array, radius: Array | None) -> Tree:
+    order = morton_order(jnp.mean(data, axis=1))
     eps, extent = jnp.finfo(low.dtype).eps, jnp.max(high - low, axis=1, keepdims=True)
     # Slivers are met up to the root of the rounding beside them: so much their test leaves open.
     pad = 4 * eps * jnp.maximum(jnp.abs(low), jnp.abs(high)) + 16 * eps**0.5 * extent
