@@ -69,12 +69,6 @@ def test_vertex_gradient_equals_central_differences_of_the_polygon_union(mesh, g
         np.testing.assert_allclose(found[vertex], expected, atol=1e-6 * np.abs(found).max())
 
 
-def test_gradient_by_all_vertices_is_minus_the_camera_s(gradients):
-    along = np.asarray(gradients[1].mesh.vertices).sum(axis=0)
-    camera = np.asarray(gradients[0].e) + np.asarray(gradients[0].p)
-    np.testing.assert_allclose(along, -camera, rtol=1e-10)
-
-
 @pytest.mark.long
 def test_forward_and_reverse_agree(mesh):
     spheres = pj.Spheres([[1.2, 0.9, 0]], [0.3])

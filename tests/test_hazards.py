@@ -124,14 +124,15 @@ NO_CAMERAS = {"u along the view": ("u", CAMERA.p - CAMERA.e), "e = p": ("p", CAM
 def looking(camera):
     """Return derivatives of sums by the camera, and what it sees."""
     image, rays, hit, points = seen(camera, SCENE)
-    return (jnp.sum(image), jnp.sum(points)), (image, rays.direction, hit.t, points)
+    sums = jnp.sum(image), jnp.sum(points)
+    return sums, (image, rays.direction, hit.t, points, pj.depth(camera, SCENE))
 
 
 @pytest.mark.parametrize("name", first(0, NO_CAMERAS, of=2))
 def test_traced_camera_that_is_none_sees_nothing(name):
     part, value = NO_CAMERAS[name]
     camera = eqx.tree_at(lambda c: getattr(c, part), CAMERA, value)
-    slopes, (image, direction, t, points) = looking(camera)
+    slopes, (image, direction, t, points, depth) = looking(camera)
     np.testing.assert_allclose(image, 0, atol=1e-15)
     np.testing.assert_allclose(points, np.tile([3, 2.5], (len(points), 1)))  # the principal point
     view = np.array(CAMERA.p - CAMERA.e) if part == "u" else np.zeros(3)
@@ -139,6 +140,7 @@ def test_traced_camera_that_is_none_sees_nothing(name):
     np.testing.assert_allclose(np.cross(direction, view), 0, atol=1e-14)
     assert np.all((direction @ view > 0) == (part == "u"))
     assert part == "u" or np.all(np.isinf(t))
+    assert np.all(np.isposinf(depth))
     for slope in jax.tree.leaves(slopes):
         assert np.all(np.isfinite(slope))
 

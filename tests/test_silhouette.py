@@ -6,25 +6,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
-import trimesh
 from chosen import first, long
 from oracles import area_per_pixel, mesh_coverage, random_camera, sphere_union
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
-from pinhole_jax._scene.scene import padded
 
 W, H = 40, 32
-
-
-def box(low, high):
-    mesh = trimesh.creation.box(bounds=[low, high])
-    return np.asarray(mesh.vertices), np.asarray(mesh.faces)
-
-
-def filled(vertices, faces):
-    """Return the scene with its arrays filled up, so that small meshes share a program."""
-    return padded(pj.Scene(mesh=pj.Mesh(vertices, faces)))
 
 
 def bumpy(seed=0):
@@ -103,28 +91,6 @@ def test_objects_that_fill_or_miss_the_frame():
     away = pj.Camera([0, 0, 5], [0, 0, 9], [0, 1, 0], 0.6, W=W, H=H)
     np.testing.assert_allclose(pj.silhouette(close, scene), 1, atol=1e-12)
     np.testing.assert_array_equal(pj.silhouette(away, scene), 0)
-
-
-@pytest.mark.long
-def test_edges_along_pixel_rows_and_corners():
-    # 90 degrees at distance 5 from the front face: one unit is 16/5 px; the face's corners fall on
-    # (20 +- 8, 16 +- 8) px exactly.
-    vertices, faces = box([-2.5, -2.5, -4], [2.5, 2.5, 0])
-    camera = pj.Camera([0, 0, 5], [0, 0, 0], [0, 1, 0], np.pi / 2, W=W, H=H)
-    image = np.asarray(pj.silhouette(camera, filled(vertices, faces)))
-    expected = np.zeros((H, W))
-    expected[8:24, 12:28] = 1
-    np.testing.assert_allclose(image, expected, atol=1e-12)
-
-
-@pytest.mark.long
-def test_hole_is_not_covered():
-    torus = trimesh.creation.torus(1.0, 0.3, 32, 12)
-    camera = pj.Camera([0, 0.5, 5], [0, 0, 0], [0, 1, 0], 0.6, W=W, H=H)
-    expected = mesh_coverage(camera, torus.vertices, torus.faces)
-    assert expected[H // 2, W // 2] == 0
-    scene = filled(torus.vertices, torus.faces)
-    np.testing.assert_allclose(pj.silhouette(camera, scene), expected, atol=1e-9)
 
 
 SPHERES = {

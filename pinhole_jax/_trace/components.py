@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._numerics.safe import safe_divide, safe_sqrt
+from .._numerics.safe import length, safe_divide
 
 Parts = Sequence[Array]
 
@@ -51,14 +51,7 @@ def largest(*vectors: Parts) -> Array:
     return most
 
 
-def length(vector: Parts) -> Array:
-    """Return the Euclidean length; scaled by the largest component, so nothing overflows."""
-    scale = largest(vector)
-    scaled = [safe_divide(x, scale) for x in vector]
-    return scale * safe_sqrt(inner(scaled, scaled))
-
-
 def unit(vector: Parts) -> list[Array]:
     """Return vector / |vector|; the null vector maps to itself, with derivative 0."""
-    size = length(vector)
+    size = length(*vector)
     return [safe_divide(x, size) for x in vector]

@@ -1,7 +1,5 @@
 """One ray, one primitive: where they meet. Units: t in world lengths, for a unit direction."""
 
-from typing import NamedTuple
-
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -9,13 +7,6 @@ from .._numerics.safe import dot, safe_divide, safe_sqrt
 from .components import Parts, inner
 
 Vector = Float[Array, "*#batch 3"]
-
-
-class Meeting(NamedTuple):
-    """Distance `t` (inf where they do not meet) and barycentric coordinates (0 for spheres)."""
-
-    t: Float[Array, "*batch"]
-    barycentric: Float[Array, "*batch 3"]
 
 
 def _perpendicular(direction: Parts) -> tuple[Parts, Parts]:
@@ -69,8 +60,7 @@ def sphere_depth(ray: Parts, sphere: Parts) -> Float[Array, "*batch"]:
     length = jnp.sqrt(1 + ray[3] * ray[3] + ray[4] * ray[4])
     direction = jnp.stack([ray[3] / length, ray[4] / length, 1 / length], axis=-1)
     offset = jnp.stack([sphere[k] - ray[k] for k in range(3)], axis=-1)
-    origin = jnp.zeros((*(1,) * (offset.ndim - 1), 3), offset.dtype)
-    return ray_sphere(origin, direction, offset, sphere[3]).t / length
+    return ray_sphere(direction, offset, sphere[3]) / length
 
 
 def _edge(p, q) -> Array:
@@ -110,25 +100,25 @@ def _weighted(p, q, r) -> tuple[Array, Parts]:
 
 
 def ray_sphere(
-    origin: Vector, direction: Vector, center: Vector, radius: Float[Array, "*#batch"]
-) -> Meeting:
-    """Return the first hits of spheres in front of the origin (from inside: the far wall).
+    direction: Vector, center: Vector, radius: Float[Array, "*#batch"]
+) -> Float[Array, "*batch"]:
+    """Return the distances of spheres in front of the origin (from inside: of the far wall); inf
+    for misses.
 
     The discriminant is taken from the perpendicular distance to the ray, and the near root from the
     product of the roots: no cancellation at a distance (Haines et al., Ray Tracing Gems, ch. 7). A
     ray that touches a sphere meets it; there the root's infinite derivative counts as 0.
     """
-    offset = center - origin
-    along = dot(offset, direction)
-    aside = offset - along[..., None] * direction
+    along = dot(center, direction)
+    aside = center - along[..., None] * direction
     distance = safe_sqrt(dot(aside, aside))
     half_chord_squared = (radius - distance) * (radius + distance)
     root = safe_sqrt(half_chord_squared)
     far = along + jnp.where(along < 0, -root, root)  # the root of larger magnitude
-    length = safe_sqrt(dot(offset, offset))
+    length = safe_sqrt(dot(center, center))
     near = safe_divide((length - radius) * (length + radius), far)
     near = jnp.where(root > 0, near, far)  # a ray that touches: the same derivative, too
     least, most = jnp.minimum(near, far), jnp.maximum(near, far)
     t = jnp.where(least > 0, least, most)
     met = (half_chord_squared >= 0) & (t > 0)
-    return Meeting(jnp.where(met, t, jnp.inf), jnp.zeros((*t.shape, 3), t.dtype))
+    return jnp.where(met, t, jnp.inf)

@@ -19,9 +19,9 @@ from .._camera.rays import Rays, camera_rays
 from .._native.library import is_available
 from .._native.walker import walked
 from .._numerics.pointwise import filled_up, may_be_filled_up, room
-from .._numerics.safe import binary_inverse, normalize
+from .._numerics.safe import binary_inverse, length, normalize
 from .._scene.scene import Mesh, Scene, Spheres, astype
-from .components import Parts, largest, length, outer, parts, unit, whole
+from .components import Parts, largest, outer, parts, unit, whole
 from .heap import first_met
 from .intersect import ray_plane, ray_sphere
 
@@ -181,7 +181,7 @@ def hits(scene: Scene, met: FirstHits) -> Hit:
     shape = jnp.broadcast_shapes(rays.origin.shape, rays.direction.shape)[:-1]
     flat = lambda x: jnp.broadcast_to(x, shape).reshape(-1)
     origin, along = ([flat(x) for x in parts(v)] for v in rays)
-    direction, step = unit(along), length(along)
+    direction, step = unit(along), length(*along)
     which, first = met.primitive.reshape(-1), 0
     hit = _miss(step)
     if scene.mesh is not None and scene.mesh.faces.shape[0]:
@@ -229,12 +229,12 @@ def _meet_sphere(spheres: Spheres, rays: Rays, sphere: Int[Array, "N"], first: i
     scale = binary_inverse(far)
     center = jnp.where(met[:, None], center * scale[:, None], 1)
     radius = spheres.radii[index] * scale
-    t, barycentric = ray_sphere(jnp.zeros_like(center), rays.direction, center, radius)
+    t = ray_sphere(rays.direction, center, radius)
     met &= jnp.isfinite(t)
     finite = jnp.where(met, t, 0)
     normal = normalize(finite[:, None] * rays.direction - center)
-    hit = Hit(finite / scale, first + sphere, barycentric, normal)
-    return _choose(met, hit, _miss(far))
+    miss = _miss(far)
+    return _choose(met, Hit(finite / scale, first + sphere, miss.barycentric, normal), miss)
 
 
 def _choose(where: Bool[Array, "N"], a: Hit, b: Hit) -> Hit:
