@@ -24,7 +24,7 @@ def _by_lens(function: pointwise, camera: Camera, points: np.ndarray) -> np.ndar
     if camera.distortion is None:
         return points
     points = np.asarray(points, camera.e.dtype)
-    return np.asarray(function(ResizableCamera.of(camera), points), float)
+    return np.asarray(function(ResizableCamera.from_camera(camera), points), float)
 
 
 @pointwise

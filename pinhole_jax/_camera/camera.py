@@ -252,21 +252,19 @@ class Camera(eqx.Module):
 class ResizableCamera(eqx.Module):
     """A camera whose resolution is data: one compiled program serves all film sizes."""
 
-    e: Any
-    p: Any
-    u: Any
-    phi: Any
-    d: Any
+    e: Float[Array, "3"]
+    p: Float[Array, "3"]
+    u: Float[Array, "3"]
+    phi: Float[Array, ""]
+    d: Float[Array, ""]
     size: Float[Array | np.ndarray, "2"]
     lens: Lens | None
 
-    @staticmethod
-    def of(camera: Camera) -> "ResizableCamera":
+    @classmethod
+    def from_camera(cls, camera: Camera) -> "ResizableCamera":
         """The same camera."""
         size = np.array([camera.W, camera.H], camera.e.dtype)
-        return ResizableCamera(
-            camera.e, camera.p, camera.u, camera.phi, camera.d, size, camera.lens
-        )
+        return cls(camera.e, camera.p, camera.u, camera.phi, camera.d, size, camera.lens)
 
     @property
     def W(self) -> Any:
@@ -336,7 +334,7 @@ def _gradient_rows(camera: Camera) -> list[tuple[str, str, str]]:
     return [(name, " ".join(f"{v:.6g}" for v in numbers(part)), "") for name, part in parts]
 
 
-def check_camera(camera: Any, name: str = "camera") -> None:
+def check_camera(camera: object, name: str = "camera") -> None:
     """Raise ValueError for anything but a single camera."""
     if not isinstance(camera, Camera):
         raise ValueError(f"`{name}`: expected a Camera, got {type(camera).__name__}")
@@ -388,7 +386,7 @@ def to_camera(camera: AnyCamera, points: Float[Array, "*batch 3"]) -> Float[Arra
 
 def camera_coordinates(camera: Camera, points: Float[Array | np.ndarray, "*batch 3"]) -> Array:
     """Return `to_camera` by one program for any number of points."""
-    return _coordinates(ResizableCamera.of(camera), points)
+    return _coordinates(ResizableCamera.from_camera(camera), points)
 
 
 _coordinates = pointwise(to_camera)
@@ -442,7 +440,7 @@ def _lens_holds(camera: ResizableCamera) -> Bool[Array, ""]:
 
 def _check_lens(camera: Camera) -> None:
     with jax.ensure_compile_time_eval():
-        if bool(_lens_holds(ResizableCamera.of(camera))):
+        if bool(_lens_holds(ResizableCamera.from_camera(camera))):
             return
     model = type(camera.distortion).__name__
     raise ValueError(

@@ -263,7 +263,9 @@ class Fisheye(Distortion):
 
 
 #: All models, by their names in files and in the command.
-MODELS: dict[str, Any] = {model.__name__: model for model in (BrownConrady, Rational, Fisheye)}
+MODELS: dict[str, type[BrownConrady | Rational | Fisheye]] = {
+    model.__name__: model for model in (BrownConrady, Rational, Fisheye)
+}
 
 
 def _powers(s: Array, *factors: Array) -> Array:
@@ -405,6 +407,6 @@ def _settled(step: Callable[[Array], tuple[Array, Array]], start: Array) -> Arra
     return jax.lax.while_loop(going, further, tuple(first))[1]
 
 
-def _tiny(dtype: Any) -> float:
+def _tiny(dtype: np.dtype) -> float:
     """Return the length of a step after which only rounding is left."""
     return float(jnp.finfo(dtype).eps) ** 0.5 / 4

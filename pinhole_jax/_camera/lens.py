@@ -4,8 +4,6 @@ The first two are affine on the film, so a straight edge stays straight. A camer
 pays nothing, and one without distortion nothing for that.
 """
 
-from typing import Any
-
 import equinox as eqx
 from jaxtyping import Array, Float
 
@@ -53,7 +51,7 @@ class Lens(eqx.Module):
         self.distortion = distortion
 
 
-def check_lens(lens: Any) -> None:
+def check_lens(lens: object) -> None:
     """Raise ValueError unless this is a lens or None."""
     if not (lens is None or isinstance(lens, Lens)):
         raise ValueError(f"`lens`: expected a Lens or None, got {type(lens).__name__}")

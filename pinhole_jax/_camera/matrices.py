@@ -1,10 +1,11 @@
 """OpenCV's K, R and t as the note's parameters: x right, y down, z forward."""
 
 from types import ModuleType
-from typing import Any, Literal
+from typing import Literal
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from .._numerics.arrays import ArrayLike, float_array, float_dtype, is_concrete
 
@@ -14,7 +15,7 @@ Centres = Literal["integer", "half"]
 ORTHOGONAL = 1e-4
 
 #: An array of NumPy's, or a traced one of JAX's.
-Numbers = Any
+Numbers = np.ndarray | Array
 
 
 def from_matrices(
@@ -32,7 +33,7 @@ def from_matrices(
     k, r = _real("K", K, (3, 3)), _real("R", R, (3, 3))
     shift = _real("t", t, (3, 1) if column else (3,)).reshape(3)
     if is_concrete(k):
-        _check_intrinsics(k, W, H)
+        _check_intrinsics(np.asarray(k), W, H)
     if is_concrete(r) and not is_rotation(r):
         raise ValueError(f"`R`: expected a rotation matrix, got {r.tolist()}")
     traced = not is_concrete(k, r, shift)
@@ -54,8 +55,9 @@ def half_pixel(pixel_centres: object) -> float:
     return 0.5 if pixel_centres == "integer" else 0.0
 
 
-def is_rotation(matrix: np.ndarray) -> bool:
+def is_rotation(matrix: Numbers) -> bool:
     """Return True for a rotation matrix (3, 3), to within rounding."""
+    matrix = np.asarray(matrix)
     apart = np.abs(matrix @ matrix.T - np.eye(3)).max()
     return bool(apart < ORTHOGONAL and np.linalg.det(matrix) > 0)
 

@@ -3,13 +3,12 @@
 A camera's own frame is OpenCV's: x right, y down, z forward.
 """
 
-from typing import Any
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from .._numerics.arrays import ArrayLike
 from .axes import axes_of
 from .camera import Camera
 from .matrices import ORTHOGONAL, is_rotation
@@ -72,7 +71,7 @@ def adjoint(pose: Pose) -> Float[np.ndarray, "6 6"]:
     return result
 
 
-def check_pose(name: str, value: Any) -> Pose:
+def check_pose(name: str, value: ArrayLike) -> Pose:
     """Return a rigid transform, its rotation orthogonal to the last digit; or raise ValueError."""
     try:
         matrix = np.asarray(value, float)

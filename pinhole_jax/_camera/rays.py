@@ -99,7 +99,7 @@ def rays_through(camera: Camera, points: Input[ArrayLike, "*batch 2"]) -> Rays:
     ```
     """
     check_camera(camera)
-    return Rays(camera.e, _directions(ResizableCamera.of(camera), _real_points(points, 2)))
+    return Rays(camera.e, _directions(ResizableCamera.from_camera(camera), _real_points(points, 2)))
 
 
 def _real_points(points: ArrayLike, size: int) -> Array | np.ndarray:
@@ -165,7 +165,7 @@ def project(camera: Camera, points: Input[ArrayLike, "*batch 3"]) -> Float[Array
     ```
     """
     check_camera(camera)
-    return _projected(ResizableCamera.of(camera), _real_points(points, 3))
+    return _projected(ResizableCamera.from_camera(camera), _real_points(points, 3))
 
 
 @pointwise

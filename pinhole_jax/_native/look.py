@@ -98,7 +98,7 @@ def pixels(sight: Sight, scene: Scene, level: MaskLevel, model: int) -> TouchedP
     none = np.zeros((0, len(sight.film_by_move) + 1), np.asarray(sight.film).dtype)
     given = *_operands(sight, scene, level), none
     arrays = [np.ascontiguousarray(x) for x in given]
-    buffers = [_Buffer.of(x) for x in arrays]
+    buffers = [_Buffer.from_array(x) for x in arrays]
     pointers = (ctypes.POINTER(_Buffer) * len(buffers))(*map(ctypes.pointer, buffers))
     number, before, own = ctypes.c_int64(), ctypes.c_uint8(), library()
     facts = ctypes.c_int64(model), ctypes.byref(number), ctypes.byref(before)
@@ -135,7 +135,7 @@ class _Buffer(ctypes.Structure):
     )
 
     @classmethod
-    def of(cls, array: np.ndarray) -> "_Buffer":
+    def from_array(cls, array: np.ndarray) -> "_Buffer":
         dims = (ctypes.c_int64 * array.ndim)(*array.shape)
         size, address = ctypes.sizeof(cls), array.ctypes.data
         return cls(size, None, TYPES[array.dtype], address, array.ndim, dims)

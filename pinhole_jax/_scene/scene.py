@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from .._camera.camera import Camera, check_camera
 from .._numerics.arrays import (
@@ -91,8 +91,8 @@ class Mesh(eqx.Module):
         edge_vertices, edge_faces = edge_records(triangles, points if known else None, len(points))
         if known and edge_faces.size:
             with np.errstate(all="ignore"):
-                middles = sum(np.take(points, corner, axis=0) for corner in triangles.T) / 3
-                codes = morton_codes(middles)
+                a, b, c = (np.take(points, corner, axis=0) for corner in triangles.T)
+                codes = morton_codes((a + b + c) / 3)
             along = np.argsort(codes[edge_faces[:, 0]], kind="stable")
             edge_vertices, edge_faces = edge_vertices[along], edge_faces[along]
         # (With no type named, JAX compiles a copy of an array of each size.)
@@ -161,7 +161,7 @@ class Scene(eqx.Module):
         self.mesh, self.spheres = mesh, spheres
 
 
-def check_view(camera: Any, scene: Any) -> None:
+def check_view(camera: object, scene: object) -> None:
     """Raise ValueError for anything but a single camera and a scene, in this order."""
     if not (isinstance(camera, Camera) and isinstance(scene, Scene)):
         kinds = f"{type(camera).__name__}, {type(scene).__name__}"
@@ -169,7 +169,7 @@ def check_view(camera: Any, scene: Any) -> None:
     check_camera(camera)
 
 
-def check_scene(scene: Any) -> None:
+def check_scene(scene: object) -> None:
     """Raise ValueError for anything but a scene with a face or a sphere."""
     if not isinstance(scene, Scene):
         hint = "; give `Scene(mesh=...)`" if isinstance(scene, Mesh) else ""
@@ -264,7 +264,7 @@ def bounding_sphere(scene: Scene) -> Ball:
     return ball_about(at_hand(bounding_box(scene)))
 
 
-def ball_about(box: Any) -> Ball:
+def ball_about(box: Float[Array | np.ndarray, "2 3"]) -> Ball:
     """Return the sphere through a box's corners, of NumPy or JAX as the box is."""
     low, high = box
     half = (high - low) / 2
@@ -279,7 +279,7 @@ def morton_order(points: Float[Array, "N 3"]) -> Int[Array, "N"]:
     return jnp.argsort(morton_codes(points)).astype(jnp.int32)
 
 
-def morton_codes(points: Any) -> Any:
+def morton_codes(points: Float[Array | np.ndarray, "N 3"]) -> UInt32[Array | np.ndarray, "N"]:
     """Return the Morton codes of at least one point, 10 bits an axis."""
     low, high = points.min(axis=0), points.max(axis=0)
     extent = (high - low).max(initial=np.finfo(points.dtype).tiny)

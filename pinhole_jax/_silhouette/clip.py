@@ -8,6 +8,9 @@ from jaxtyping import Array, Float
 
 from .._numerics.safe import safe_divide
 
+#: Tails and heads of curves on the film (px), and their weights.
+Curve = tuple[Float[Array, "K 2"], Float[Array, "K 2"], Float[Array, "K"]]
+
 
 class Homogeneous(NamedTuple):
     """A homogeneous film point (x z, y z, z)."""
@@ -27,15 +30,14 @@ class _Spot(NamedTuple):
 
 
 def cut_off(
-    first: Homogeneous, last: Homogeneous, weight: Array, beside: Array, bounds: Float[Array, "4"]
-) -> tuple[tuple[tuple[Array, Array], tuple[Array, Array]], Array]:
-    """The ends of edges on the film, cut off at bounds (left, right, low, high), and their weights.
+    first: Homogeneous, last: Homogeneous, weight: Array, bounds: Float[Array, "4"]
+) -> list[Curve]:
+    """Edges on the film, cut off at bounds (left, right, low, high), then their parts left of it.
 
     Edges are cut before the division by depth, so those that pass the eye or end behind it lose no
     accuracy. Parts right of the film are invisible and have weight 0; parts left of it still bound
-    the rows: with `beside` these are returned, as uprights on the left. A cut end lies at exactly
-    its bound. An edge that passes through the eye's x axis leaves for infinity at the top
-    (`surrounding` decides alike).
+    the rows: they become uprights on the left. A cut end lies at exactly its bound. An edge that
+    passes through the eye's x axis leaves for infinity at the top (`surrounding` decides alike).
     """
     left, right, low, high = bounds
     edge = first, last
@@ -50,12 +52,17 @@ def cut_off(
         p, out_left, out_right = spots[k], is_left[k], is_right[k]
         x = jnp.where(out_left, left, jnp.where(out_right, right, safe_divide(p.x, p.z)))
         y = jnp.where(out_left, y_left, jnp.where(out_right, y_right, p.height))
-        outer = jnp.where(out_left, p.height, y_left)
-        return jnp.where(beside, left, x), jnp.where(beside, outer, y)
+        return jnp.stack([x, y], axis=-1)
+
+    def upright_end(k):
+        y = jnp.where(is_left[k], spots[k].height, y_left)
+        return jnp.stack([jnp.full_like(y, left), y], axis=-1)
 
     beyond = (is_left[0] & is_left[1]) | (is_right[0] & is_right[1])
-    shown = jnp.where(beside, is_left[0] | is_left[1], ~beyond)
-    return (end(0), end(1)), jnp.where(shown, weight, 0)
+    return [
+        (end(0), end(1), jnp.where(beyond, 0, weight)),
+        (upright_end(0), upright_end(1), jnp.where(is_left[0] | is_left[1], weight, 0)),
+    ]
 
 
 def _past(bound: Array, side: int) -> Callable[[_Spot], Array]:

@@ -8,7 +8,7 @@ All edges and all arcs of all conics go side by side; invisible ones have no par
 with distortion, a curve has enough straight parts to follow its image.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -17,10 +17,9 @@ from jaxtyping import Array, Float, Int
 
 from .._camera.film import Bend, FilmMap, film_points
 from .._native.rasteriser import sphere_frames
-from .._numerics.running import running_sum
 from .._numerics.safe import binary_inverse, norm, safe_divide
 from .._scene.scene import Mesh, Scene, Spheres, front_facing
-from .clip import Homogeneous, cut_off
+from .clip import Curve, Homogeneous, cut_off
 from .conics import arc_end, film_at, homogeneous
 from .pieces import Arcs, Monotone
 from .spheres import ARCS_PER_SPHERE, Arc, arc_within, shown_arcs
@@ -41,13 +40,13 @@ class Moving(NamedTuple):
     frames: Float[Array, "S 3 3"] | None
     bend: Bend | None
 
-    @staticmethod
-    def of(film: FilmMap, scene: Scene) -> "Moving":
+    @classmethod
+    def from_scene(cls, film: FilmMap, scene: Scene) -> "Moving":
         """The variables of a scene's curves."""
         mesh, spheres = scene.mesh, scene.spheres
         points = None if mesh is None else film_points(film, mesh.vertices)
         frames = None if spheres is None else sphere_frames(film, spheres).reshape(-1, 3, 3)
-        return Moving(points, frames, film.bend)
+        return cls(points, frames, film.bend)
 
 
 class Contour(NamedTuple):
@@ -69,8 +68,8 @@ class Contour(NamedTuple):
     arcs: Arc | None
     bend: Bend | None
 
-    @staticmethod
-    def of(moving: Moving, film: FilmMap, scene: Scene) -> "Contour":
+    @classmethod
+    def from_scene(cls, moving: Moving, film: FilmMap, scene: Scene) -> "Contour":
         """The curves of a scene."""
         mesh, spheres, kinds, arcs = scene.mesh, scene.spheres, [], None
         if mesh is not None and moving.points is not None:
@@ -81,9 +80,9 @@ class Contour(NamedTuple):
         tail, head, weight = (jnp.concatenate(x) for x in zip(*kinds, strict=True))
         ends = None if mesh is None else mesh.edge_vertices
         seen = (weight != 0).astype(jnp.int32)
-        curves = Contour(tail, head, weight, seen, ends, *moving[:2], arcs, moving.bend)
+        curves = cls(tail, head, weight, seen, ends, *moving[:2], arcs, moving.bend)
         parts = seen if film.bend is None else curves._parts(film)
-        return curves._replace(upto=running_sum(parts))
+        return curves._replace(upto=jax.lax.cumsum(parts))
 
     @property
     def number(self) -> int:
@@ -96,10 +95,10 @@ class Contour(NamedTuple):
         tail, head = (self._image(curve, share, self.bend) for share in shares)
         weight = jnp.where(ids < self.upto[-1], self.weight[curve], 0)
         if self.frames is None or self.bend is not None:  # (a lens makes straight parts of arcs)
-            return Monotone.of(tail, head, weight, None)
+            return Monotone.from_ends(tail, head, weight, None)
         arc = self._arc(curve)
         arcs = Arcs(self.frames[self._sphere(arc)], arc >= 0)
-        return Monotone.of(tail, head, weight, arcs)
+        return Monotone.from_ends(tail, head, weight, arcs)
 
     def sphere(self, ids: Int[Array, "K"]) -> Int[Array, "K"]:
         """The sphere of each part; any for edges."""
@@ -151,8 +150,8 @@ class Contour(NamedTuple):
 
     def _turned(self, arc: Int[Array, "K"], share: Float[Array, "K"]) -> Float[Array, "K 2"]:
         """Points of the unit circle at a share of arcs."""
-        own: Any = jax.tree.map(lambda x: x[jnp.maximum(arc, 0)], self.arcs)
-        return own.at(share)
+        assert self.arcs is not None
+        return jax.tree.map(lambda x: x[jnp.maximum(arc, 0)], self.arcs).turned(share)
 
     def _image(self, curve: Array, share: Array, bend: Bend | None) -> Float[Array, "K 2"]:
         point = self._ideal(curve, share)
@@ -184,15 +183,15 @@ class Contour(NamedTuple):
         curve = jnp.arange(self.number, dtype=jnp.int32)
         shorter = norm(self.head - self.tail) < SHORT * min(film.W, film.H)
         stretches = jnp.where(shorter & (self._arc(curve) < 0), 2, STRETCHES)
-        at = lambda k: self._image(curve, k / stretches.astype(self.tail.dtype), self.bend)
+        point = lambda k: self._image(curve, k / stretches.astype(self.tail.dtype), self.bend)
 
         def further(k, state):
             before, last, second = state
-            here = at(k)
+            here = point(k)
             bent = jnp.where((k > 1) & (k <= stretches), norm(before - 2 * last + here), 0)
             return last, here, jnp.maximum(second, bent)
 
-        start = at(0)
+        start = point(0)
         second = jax.lax.fori_loop(1, STRETCHES + 1, further, (start, start, start[:, 0] * 0))[2]
         needed = jnp.ceil(jnp.sqrt(MARGIN * second * stretches**2 / (8 * STRAY_PX)))
         parts = jnp.clip(needed, 1, MOST_PARTS).astype(jnp.int32)
@@ -202,20 +201,13 @@ class Contour(NamedTuple):
         return jnp.where(self.weight == 0, 0, jnp.where(whole, 1, parts))
 
 
-Curve = tuple[Float[Array, "K 2"], Float[Array, "K 2"], Float[Array, "K"]]
-
-
 def edge_curves(points: Float[Array, "V 3"], film: FilmMap, mesh: Mesh) -> list[Curve]:
     """The parts of edges near the film, and those left of it."""
     weight = contour_weights(mesh, film.eye)
     both = points[mesh.edge_vertices]
     both = both * binary_inverse(jnp.max(jnp.abs(both), axis=-1))[..., None]
     first, last = (Homogeneous(*both[:, k].T) for k in (0, 1))
-    kinds = []
-    for beside in (False, True):
-        (tail, head), seen = cut_off(first, last, weight, jnp.array(beside), film.bounds)
-        kinds.append((jnp.stack(tail, axis=-1), jnp.stack(head, axis=-1), seen))
-    return kinds
+    return cut_off(first, last, weight, film.bounds)
 
 
 def contour_weights(mesh: Mesh, e: Float[Array, "3"]) -> Int[Array, "E"]:

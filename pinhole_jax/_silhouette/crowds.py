@@ -7,14 +7,13 @@ covered whatever their pieces do. At the last cut the corner decides for a cell 
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from .._numerics.batches import in_chunks
-from .._numerics.running import running_sum
+from .._numerics.batches import Total, in_chunks
 from .contour import Contour
 from .pieces import Arcs, Monotone, Pieces, in_row, piece_in, rows_met
 from .pixels import Pixels, fold_film, place
@@ -75,12 +74,17 @@ class _Cells(NamedTuple):
     column: Int[Array, "C"]
 
 
-Add = Callable[[Any, CellCoverage], Any]
+Add = Callable[[Total, CellCoverage], Total]
 
 
 def fold_crowded(
-    curves: Contour, film: tuple[int, int], pixels: Pixels, add: Add, start: Any, seen: bool
-) -> Any:
+    curves: Contour,
+    film: tuple[int, int],
+    pixels: Pixels,
+    add: Add[Total],
+    start: Total,
+    seen: bool,
+) -> Total:
     """`start` after `add(total, cells)` over all crowded pixels of a film of W x H.
 
     With `seen`, cells have their visible pieces.
@@ -88,7 +92,7 @@ def fold_crowded(
     if pixels.crowded is None:
         return start
     number = jnp.where(pixels.crowded, pixels.number, 0)
-    upto = running_sum(number)
+    upto = jax.lax.cumsum(number)
     room = LEAST_ROOM
     while room < min(PIECES_A_CURVE * curves.number, ROOM):
         room *= 2
@@ -122,7 +126,7 @@ def _list_pieces(
         used, listed = state
         pixel = place(film, pieces)
         there = (pixel < nowhere) & chosen[jnp.minimum(pixel, nowhere - 1)]
-        upto = used + running_sum(there.astype(jnp.int32))
+        upto = used + jax.lax.cumsum(there.astype(jnp.int32))
         slot = jnp.where(there, upto - 1, room)
         ends = (*pieces.low.T, *pieces.high.T)
         more = _PieceList(pixel, pieces.curve, ends, pieces.jump, _flags(m, pieces))
@@ -146,10 +150,10 @@ def _merge(listed: _PieceList) -> _PieceList:
     keys = listed.pixel, listed.kind, *listed.ends
     *keys, curve, jump = jax.lax.sort((*keys, listed.curve, listed.jump), num_keys=len(keys))
     first = jnp.concatenate([jnp.ones(1, bool), _differ(keys)])
-    group = running_sum(first.astype(jnp.int32)) - 1
+    group = jax.lax.cumsum(first.astype(jnp.int32)) - 1
     jump = jnp.zeros(number, jump.dtype).at[group].add(jump)[group]
     stays = first & (jump != 0)
-    slot = jnp.where(stays, running_sum(stays.astype(jnp.int32)) - 1, number)
+    slot = jnp.where(stays, jax.lax.cumsum(stays.astype(jnp.int32)) - 1, number)
     pixel, kind, *ends = keys
     put = lambda x: jnp.zeros_like(x).at[slot].set(x, mode="drop")
     last = jnp.full_like(pixel, nowhere).at[slot].set(pixel, mode="drop")
@@ -177,7 +181,7 @@ class _Batch(NamedTuple):
     number: Int[Array, "N"]
     nowhere: int
     depth: int
-    add: Add
+    add: Callable
     seen: bool
 
 
@@ -187,10 +191,10 @@ def _fold_batch(
     pixels: Pixels,
     chosen: Bool[Array, "pixels"],
     listed: _PieceList,
-    add: Add,
-    start: Any,
+    add: Add[Total],
+    start: Total,
     seen: bool,
-) -> Any:
+) -> Total:
     """`start` after all chosen pixels, whose pieces are in the list."""
     nowhere, room = len(chosen), len(listed.pixel)
     most, real = min(room, nowhere), curves.tail.dtype
@@ -213,7 +217,7 @@ def _fold_batch(
         slot = jnp.clip(slot, 0, jnp.where(on_stack, size, most) - 1)
         whole = _Cells(slot, *(jnp.zeros_like(slot),) * 3)
         cells = jax.tree.map(lambda x, y: jnp.where(on_stack, x[slot], y), stack, whole)
-        needed = running_sum(jnp.where(there, number[cells.pixel], 0))
+        needed = jax.lax.cumsum(jnp.where(there, number[cells.pixel], 0))
         there &= (needed <= room) | (rank == 0)
         taken = jnp.sum(there, dtype=jnp.int32)
         next_, height = (
@@ -231,7 +235,7 @@ def _fold_batch(
 
 def _with_parts(stack: _Cells, height: Array, cells: _Cells, cut: Bool[Array, "C"]) -> _Cells:
     """A stack of some height with the parts of cut cells on top."""
-    slot = height + CUT**2 * (running_sum(cut.astype(jnp.int32)) - 1)
+    slot = height + CUT**2 * (jax.lax.cumsum(cut.astype(jnp.int32)) - 1)
     slot = jnp.where(cut, slot, len(stack.pixel))[:, None]
     part = jnp.arange(CUT**2, dtype=jnp.int32)[None]
     pixel, level, row, column = (x[:, None] for x in cells)
@@ -252,8 +256,8 @@ class _InCells(NamedTuple):
 
 
 def _fold_cells(
-    batch: _Batch, cells: _Cells, there: Bool[Array, "C"], total: Any
-) -> tuple[Bool[Array, "C"], Any]:
+    batch: _Batch, cells: _Cells, there: Bool[Array, "C"], total: Total
+) -> tuple[Bool[Array, "C"], Total]:
     """True for cells, of those that are there, that must be cut; and the total with all others."""
     real = batch.corner.dtype
     number = jnp.where(there, batch.number[cells.pixel], 0)
@@ -269,7 +273,7 @@ def _fold_cells(
     total = batch.add(total, CellCoverage(pixel, area, None))
 
     # A table with a row of pieces for each cell to be swept.
-    upto = running_sum(inside.astype(jnp.int32))
+    upto = jax.lax.cumsum(inside.astype(jnp.int32))
     before = jnp.cumsum(number.astype(jnp.int32)) - number.astype(jnp.int32)
     at = found.cell * FEW + upto - 1 - before[jnp.minimum(found.cell, CELLS - 1)]
     sweeps = there & ~known & few
@@ -288,14 +292,14 @@ def _fold_cells(
     return there & ~known & ~few, in_chunks(chunk, total, SWEPT, jnp.sum(sweeps, dtype=jnp.int32))
 
 
-def _scale(level: Int[Array, "*C"], real: Any) -> Float[Array, "*C"]:
+def _scale(level: Int[Array, "*C"], real: jnp.dtype) -> Float[Array, "*C"]:
     """The number of cells along a pixel's side."""
     return jnp.asarray(CUT, real) ** level.astype(real)
 
 
 def _in_cells(batch: _Batch, cells: _Cells, number: Int[Array, "C"]) -> _InCells:
     """The parts in cells of their pixels' pieces, `number` for each cell."""
-    listed, upto = batch.listed, running_sum(number)
+    listed, upto = batch.listed, jax.lax.cumsum(number)
     slot = jnp.arange(len(listed.pixel), dtype=jnp.int32)
     cell = jnp.searchsorted(upto, slot, side="right").astype(jnp.int32)
     there, own = slot < upto[-1], jnp.minimum(cell, CELLS - 1)
@@ -386,16 +390,13 @@ def _sweep_cells(
     own = batch.curves.monotone(pieces.curve.reshape(-1))
     own = jax.tree.map(lambda x: x.reshape(*places.shape, *x.shape[1:]), own)
     pixel = jnp.where(jnp.any(there, axis=1), batch.pixel[cells.pixel], batch.nowhere)
-    lines = _along_x(pieces, arcs, own.rising * own.rightward)
+    conics = None if own.arcs is None or not batch.seen else own.arcs.conic
+    flat = sweep(_along_x(pieces, arcs, own.rising * own.rightward), corner, conics)
     if not batch.seen:
-        return CellCoverage(pixel, sweep(lines, corner, None).area / scale**2, None)
+        return CellCoverage(pixel, flat.area / scale**2, None)
 
-    both = lambda a, b: jax.tree.map(lambda *x: jnp.concatenate(x), a, b)
-    lines = both(lines, _along_y(pieces, arcs, own.rising))
-    conics = None if own.arcs is None else both(own.arcs.conic, own.arcs.conic)
-    sweeps = sweep(lines, both(corner, corner), conics)
-    flat, upright = (jax.tree.map(lambda x, k=k: jnp.split(x, 2)[k], sweeps) for k in (0, 1))
     # Steep ones by the sweep along y.
+    upright = sweep(_along_y(pieces, arcs, own.rising), corner, conics)
     steep, way = own.steep, pieces.high - pieces.low
     if arcs is not None:
         steep = jnp.where(arcs.there, way[..., 1] > jnp.abs(way[..., 0]), steep)
@@ -428,7 +429,4 @@ def _along_y(pieces: Pieces, arcs: Arcs | None, grows: Array) -> Lines:
     (x0, y0), (x1, y1) = (jnp.moveaxis(p, -1, 0) for p in (pieces.low, pieces.high))
     if arcs is not None:
         arcs = arcs._replace(conic=arcs.conic[..., jnp.array([1, 0, 2])])
-    # (As many halts as the other sweep has: both are one.)
-    halt = jnp.tile(pieces.left_y, (1, 3))
-    step = jnp.pad(pieces.left, ((0, 0), (0, 2 * pieces.left.shape[1])))
-    return Lines(y0, x0, y1, x1, pieces.jump, halt, step, grows, arcs)
+    return Lines(y0, x0, y1, x1, pieces.jump, pieces.left_y, pieces.left, grows, arcs)

@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 
 from .._camera.film import FilmMap
 from .._native.linear import differentiable_once, linear, merged, moving_of
+from .._numerics.batches import Total
 from .._numerics.safe import safe_divide
 from .._scene.scene import Scene
 from .conics import arc_flux, unit_of
@@ -25,7 +26,7 @@ from .pixels import Pixels, drawn, fold_film, place
 from .surrounding import surrounding
 
 
-class View(NamedTuple):
+class Drawing(NamedTuple):
     """A film's view of a scene: curves, pixels, and the image."""
 
     curves: Contour
@@ -35,7 +36,7 @@ class View(NamedTuple):
 
 def coverage_in_arrays(film: FilmMap, scene: Scene, overlaps: bool) -> Float[Array, "H W"]:
     """Exact coverage of each pixel, row 0 on top; `overlaps` as in `silhouette`."""
-    moving = Moving.of(film, scene)
+    moving = Moving.from_scene(film, scene)
     return _coverage(overlaps, moving, jax.lax.stop_gradient((film, scene)))
 
 
@@ -55,11 +56,11 @@ def _coverage_jvp(overlaps: bool, primals: Any, tangents: Any):
     held, film = differentiable_once(leaves), (given[0].W, given[0].H)
     like = jax.ShapeDtypeStruct(view.image.shape, view.image.dtype)
 
-    def change_by(view: View, held: list[Array], seen: VisiblePieces) -> Callable:
+    def change_by(view: Drawing, held: list[Array], seen: VisiblePieces) -> Callable:
         every = lambda moving: tree.unflatten(merged(moving, held, moves))
         return lambda moving: _change(view.curves, every(moving), seen)
 
-    def push(view: View, held: list[Array], velocity: list[Array]) -> Array:
+    def push(view: Drawing, held: list[Array], velocity: list[Array]) -> Array:
         def add(image, seen):
             more = jax.jvp(change_by(view, held, seen), (moving_of(held, moves),), (velocity,))[1]
             return image.at[seen.pixel].add(more, mode="drop")
@@ -67,7 +68,7 @@ def _coverage_jvp(overlaps: bool, primals: Any, tangents: Any):
         none = jnp.zeros(film[0] * film[1], like.dtype)
         return _upright(_fold_seen(view, film, add, none), film)
 
-    def pull(view: View, held: list[Array], weights: Array) -> list[Array]:
+    def pull(view: Drawing, held: list[Array], weights: Array) -> list[Array]:
         flat = jnp.append(weights[::-1].reshape(-1), 0)
 
         def add(total, seen):
@@ -102,21 +103,21 @@ def _change(curves: Contour, moving: Moving, seen: VisiblePieces) -> Float[Array
     return jnp.where(m.arcs.there, turned, change)
 
 
-def _view(overlaps: bool, moving: Moving, given: tuple[FilmMap, Scene]) -> View:
+def _view(overlaps: bool, moving: Moving, given: tuple[FilmMap, Scene]) -> Drawing:
     (film, scene), size = given, (given[0].W, given[0].H)
-    curves = Contour.of(moving, film, scene)
+    curves = Contour.from_scene(moving, film, scene)
     pixels = drawn(curves, size, surrounding(film, scene), overlaps)
 
     def add(image, cells: CellCoverage):
         return image.at[cells.pixel].add(cells.area, mode="drop")
 
     image = fold_crowded(curves, size, pixels, add, pixels.coverage, False)
-    return View(curves, pixels, _upright(jnp.clip(image, 0, 1), size))
+    return Drawing(curves, pixels, _upright(jnp.clip(image, 0, 1), size))
 
 
 def _fold_seen(
-    view: View, film: tuple[int, int], add: Callable[[Any, VisiblePieces], Any], start: Any
-) -> Any:
+    view: Drawing, film: tuple[int, int], add: Callable[[Total, VisiblePieces], Total], start: Total
+) -> Total:
     """`start` after `add(total, seen)` over all visible pieces."""
     curves, pixels, _ = view
 

@@ -6,14 +6,13 @@ pixel above it or to its right.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from .._numerics.batches import in_chunks
-from .._numerics.running import running_sum
+from .._numerics.batches import Total, in_chunks
 from .._numerics.safe import safe_divide
 from .conics import bulge, film_at, unit_at
 
@@ -41,13 +40,13 @@ class Monotone(NamedTuple):
     jump: Float[Array, "*K"]
     arcs: "Arcs | None"
 
-    @staticmethod
-    def of(tail: Array, head: Array, weight: Array, arcs: "Arcs | None") -> "Monotone":
+    @classmethod
+    def from_ends(cls, tail: Array, head: Array, weight: Array, arcs: "Arcs | None") -> "Monotone":
         """Curves from tail to head, `weight` layers more on their left."""
         up = head[..., 1] >= tail[..., 1]
         low, high = jnp.where(up[..., None], tail, head), jnp.where(up[..., None], head, tail)
         rising = jnp.where(up, 1, -1).astype(low.dtype)
-        return Monotone(low, high, rising, -rising * weight, arcs)
+        return cls(low, high, rising, -rising * weight, arcs)
 
     @property
     def rightward(self) -> Float[Array, "*K"]:
@@ -152,6 +151,10 @@ class Pieces(NamedTuple):
         return gain - jnp.where(m.arcs.there, self.jump * swollen, 0)
 
 
+#: The first column and the last that count; of a film, or of each curve's cells.
+Columns = tuple[int, int | Array]
+
+
 class InRow(NamedTuple):
     """Curves' points of entry into a row and exit, and their columns."""
 
@@ -161,7 +164,7 @@ class InRow(NamedTuple):
     last: Int[Array, "P"]
 
 
-def in_row(m: Monotone, row: Int[Array, "P"], columns: tuple[Any, Any]) -> InRow:
+def in_row(m: Monotone, row: Int[Array, "P"], columns: Columns) -> InRow:
     """The parts of curves in rows; columns are bounded."""
     heights = row.astype(m.low.dtype), (row + 1).astype(m.low.dtype)
     x0, x1 = (m.x_at(y) for y in heights)
@@ -170,12 +173,12 @@ def in_row(m: Monotone, row: Int[Array, "P"], columns: tuple[Any, Any]) -> InRow
     return InRow(low, high, _column(x0, columns), _column(x1, columns))
 
 
-def _column(x: Float[Array, "P"], columns: tuple[Any, Any]) -> Int[Array, "P"]:
+def _column(x: Float[Array, "P"], columns: Columns) -> Int[Array, "P"]:
     low, high = (jnp.asarray(k, x.dtype) for k in columns)
     return jnp.floor(jnp.clip(x, low, high)).astype(jnp.int32)
 
 
-def rows_met(m: Monotone, H: Any) -> tuple[Int[Array, "K"], Int[Array, "K"]]:
+def rows_met(m: Monotone, H: int | Array) -> tuple[Int[Array, "K"], Int[Array, "K"]]:
     """The first row from 0 to H that curves meet, and the one after the last."""
     low, high, top = m.low[:, 1], m.high[:, 1], jnp.asarray(H, m.low.dtype)
     first = jnp.clip(jnp.floor(low), 0, top)
@@ -225,9 +228,9 @@ def fold_pieces(
     ids: Int[Array, "K"],
     m: Monotone,
     film: tuple[int, int],
-    add: Callable[[Any, Monotone, Pieces], Any],
-    start: Any,
-) -> Any:
+    add: Callable[[Total, Monotone, Pieces], Total],
+    start: Total,
+) -> Total:
     """`start` after `add(total, curves, pieces)` over all pieces of curves, chunk by chunk.
 
     On a film of W x H pixels; columns -1 and W hold the pieces left and right of it.
@@ -236,7 +239,7 @@ def fold_pieces(
     columns, (first, end) = (-1, W), rows_met(m, H)
     begin = in_row(m, first, columns).first
     past = lambda m, row, begin: jnp.abs(in_row(m, row, columns).first - begin)
-    upto = running_sum(jnp.where(end > first, end - first + past(m, end, begin), 0))
+    upto = jax.lax.cumsum(jnp.where(end > first, end - first + past(m, end, begin), 0))
 
     def chunk(total, slot):
         slots = slot + jnp.arange(AT_A_TIME, dtype=jnp.int32)

@@ -6,12 +6,12 @@ coverage: it holds k layers and k + 1. Where more do, winding numbers add up and
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from .._numerics.batches import in_chunks
+from .._numerics.batches import Total, in_chunks
 from .contour import Contour
 from .pieces import Monotone, Pieces, fold_pieces
 
@@ -57,9 +57,9 @@ class _Sums(NamedTuple):
 def fold_film(
     curves: Contour,
     film: tuple[int, int],
-    add: Callable[[Any, Monotone, Pieces], Any],
-    start: Any,
-) -> Any:
+    add: Callable[[Total, Monotone, Pieces], Total],
+    start: Total,
+) -> Total:
     """`start` after `add(total, curves, pieces)` over all pieces of a film of W x H pixels."""
     size = min(AT_A_TIME, curves.number)
 

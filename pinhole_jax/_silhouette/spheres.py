@@ -66,7 +66,7 @@ class Arc(NamedTuple):
     end: Points
     turn: Float[Array, "A"]
 
-    def at(self, share: Float[Array, "A"]) -> Points:
+    def turned(self, share: Float[Array, "A"]) -> Points:
         """Points of the unit circle at a share of it."""
         angle, (x, y) = share * self.turn, self.start.T
         c, s = jnp.cos(angle), jnp.sin(angle)

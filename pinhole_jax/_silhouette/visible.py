@@ -11,8 +11,9 @@ from .._camera.rays import project
 from .._native.rasteriser import sphere_frames
 from .._numerics.safe import norm
 from .._scene.scene import Mesh, Scene, astype, check_view
+from .clip import Curve
 from .conics import film_at
-from .contour import Curve, contour_weights, edge_curves
+from .contour import contour_weights, edge_curves
 from .spheres import ARCS_PER_SPHERE, Points, shown_arcs
 from .surrounding import surrounding
 
