@@ -163,8 +163,8 @@ def lowest_versions(session: nox.Session) -> None:
 
 
 #: What a newer Python, and the newer JAX and NumPy for it, could change: also what scikit-image
-#: draws, shapely cuts and pycollada reads.
-NEWER = files("import camera scene io formats main overlaps native walker trace robots")
+#: draws, shapely cuts and pycollada reads; coverage, gradients and fits by their values.
+NEWER = [*DRAWN, *files("import camera scene io formats main overlaps native walker trace robots")]
 
 
 @apart(name="newest", python=newest())
@@ -208,10 +208,15 @@ def docs(session: nox.Session) -> None:
 
 @apart(python=newest())
 def canary(session: nox.Session) -> None:
-    """Raise the upper bounds of pyproject.toml to what is published, and run the tests with it."""
+    """Raise the upper bounds of pyproject.toml to what is published; then all tests, the worst
+    errors, and no mask, Jacobian or fit that takes 3 times as long beside a plain loop."""
     session.run("python", ".ci/canary")
-    session.install("-e", ".[test]", "--upgrade")
+    session.install("-e", ".[test]", "numba", "--upgrade")
+    session.run("python", "--version")
     pytest(session)
+    gate = ("python", "experiments/frozen.py", "--gate", "--only")
+    session.run(*gate, "errors")
+    session.run(*gate, "speed", "--times", "3")
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
     python experiments/frozen.py                             # measure, and show what differs
     python experiments/frozen.py --gate [--quick]            # ends with 1 where something is worse
+    python experiments/frozen.py --gate --only speed --times 3   # another compiler: no cliffs
     python experiments/frozen.py --update --reason "..."     # a deliberate act: freezes anew
 
 `--only GROUP,GROUP` takes some of the groups, `--quick` a smaller size with figures of its own:
@@ -261,9 +262,9 @@ def child(group: str, path: Path, size: str) -> None:
 # Compare
 
 
-def compared(known: Known, fresh: Known) -> dict[str, str]:
+def compared(known: Known, fresh: Known, times: float = 1.0) -> dict[str, str]:
     """Return a verdict for each figure: "worse" and "cannot compare" are those that the gate is
-    for, "better" is for an update."""
+    for, "better" is for an update. As much as `times` the frozen value is not worse."""
     found = {}
     for name in dict.fromkeys([*known, *fresh]):
         if name not in known:
@@ -276,6 +277,7 @@ def compared(known: Known, fresh: Known) -> dict[str, str]:
             continue
         gain = {"lower": old - new, "higher": new - old, "equal": -abs(new - old)}
         better = gain[known[name]["direction"]]
+        tolerance = max(tolerance, (times - 1) * abs(old))
         tolerance += 1e-9 * abs(old)  # both values are rounded
         found[name] = "worse" if better < -tolerance else "better" if better > tolerance else "same"
     return found
@@ -291,7 +293,7 @@ def show(known: Known, fresh: Known, verdicts: dict[str, str]) -> None:
             print(f"{verdicts[name]:15} {name}: {values[0]} -> {values[1]} ({allowed})")
 
 
-def gate(kept: dict, size: str, fresh: dict[str, Known]) -> int:
+def gate(kept: dict, size: str, fresh: dict[str, Known], times: float = 1.0) -> int:
     """Return 1 where a figure of the groups is worse, or where nothing can be said of it."""
     if size not in kept:
         print(f"cannot compare: nothing is frozen at the {size} size (--update --reason ...)")
@@ -305,7 +307,7 @@ def gate(kept: dict, size: str, fresh: dict[str, Known]) -> int:
         elif not figures:
             print(f"cannot compare: {group} was skipped, its data are not there")
         else:
-            verdicts = compared(known, figures)
+            verdicts = compared(known, figures, times)
             show(known, figures, verdicts)
             bad += sum(x in ("worse", "cannot compare") for x in verdicts.values())
     print(f"{bad} figures are worse, or cannot be compared" if bad else "Nothing is worse.")
@@ -331,6 +333,7 @@ def main() -> int:
     parser.add_argument("--reason", default="", help="why figures change, for --update")
     parser.add_argument("--quick", action="store_true", help="some minutes")
     parser.add_argument("--only", help=f"of {', '.join(GROUPS)}")
+    parser.add_argument("--times", type=float, default=1.0, help="how much larger is not worse")
     parser.add_argument("--cache", type=Path, default=Path("out", "frozen"), help="trials so far")
     given = parser.parse_args()
     groups = given.only.split(",") if given.only else [*(QUICK if given.quick else GROUPS)]
@@ -341,7 +344,7 @@ def main() -> int:
     kept = json.loads(KEPT.read_text()) if KEPT.exists() else {}
     size = "quick" if given.quick else "full"
     fresh = {group: measured(group, given.quick, given.cache) for group in groups}
-    worse = gate(kept, size, fresh)
+    worse = gate(kept, size, fresh, given.times)
     if given.update:
         update(kept, size, fresh, given.reason)
         print(f"Written: {KEPT.name}")

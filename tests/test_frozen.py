@@ -53,6 +53,11 @@ def test_worsened_figure_ends_with_one_and_is_listed(gate, name, value, capsys):
     assert gate(with_values(**{name: value})) == 0  # without --gate it is only shown
 
 
+def test_cliffs_alone_are_worse_where_times_are_allowed(gate):
+    assert gate(with_values(error=5.9), "--gate", "--times", "3") == 0
+    assert gate(with_values(error=6.1), "--gate", "--times", "3") == 1
+
+
 @pytest.mark.parametrize("fresh", [with_values(error=None), {"found": FIGURES["found"]}])
 def test_figure_without_a_number_cannot_be_compared(gate, fresh, capsys):
     assert gate(fresh, "--gate") == 1

@@ -37,8 +37,6 @@ def test_sharded_results_are_those_of_one_device(errors, case):
 
 def main():
     """Print the errors of all cases."""
-    flags = os.environ.get("XLA_FLAGS", "")
-    os.environ["XLA_FLAGS"] = f"{flags} --xla_force_host_platform_device_count=4"
     import jax
     import jax.numpy as jnp
     import numpy as np
@@ -46,6 +44,7 @@ def main():
 
     import pinhole_jax as pj
 
+    jax.config.update("jax_num_cpu_devices", 4)
     random = np.random.default_rng(0)
     eyes = jnp.asarray(random.normal(size=(4, 3)) * 0.3 + [0, 0, 4])
     weights = jnp.asarray(random.uniform(size=(4, 10, 12)))
