@@ -554,6 +554,8 @@ def test_formats_are_written_and_read_as_the_same_camera(bench):
             size = (W, H) if format.sized else None
             (again,) = pj.formats.read(path, name, size=size).values()
             assert max(map(float, pj.pose_error(again, bench.camera))) < 1e-4
+    again = do(bench, "export", format="json", name="view")["written"]
+    assert again == [f"{written[0]} (replaced)"]
 
 
 def test_session_goes_on_in_another_tab(fitted, tmp_path):

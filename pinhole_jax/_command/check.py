@@ -22,7 +22,7 @@ from ..batch.inputs import read_mask, read_scene
 from ..names import STATUSES
 from .hand_eye import read_robot, read_views
 from .options import record_of
-from .outputs import check_outputs, replacement_words
+from .outputs import check_outputs, written_words
 
 #: The exit status when the masks cannot tell.
 UNTOLD = 3
@@ -61,10 +61,10 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
     for weak in fit.weak:
         print(f"weak       {weak}")
     if options.output is not None:
-        there = replacement_words([options.output])
+        words = written_words([options.output])
         with named(path="output"):
             io.save_fit(options.output, fit)
-        print(f"written    {options.output}{there}")
+        print(words)
     return UNTOLD if untold else int(wrong)
 
 

@@ -11,7 +11,7 @@ from .._files.progress import Clock, Ticker
 from ..batch.inputs import read_inputs
 from ..plot import disagreement, overlay
 from .options import record_of
-from .outputs import check_outputs, replacement_words
+from .outputs import check_outputs, written_words
 
 
 def run(options: argparse.Namespace, progress: Ticker) -> int:
@@ -34,7 +34,7 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
     progress.done()
     _print(fit, notes, clock, centres)
     written += [options.report] if options.report is not None and finite else []
-    words = f"written    {', '.join(map(str, written))}{replacement_words(written)}"
+    words = written_words(written)
     with named(path="output"):
         io.save_fit(written[0], fit, pixel_centres=centres)
         io.save_image(written[1], drawing)

@@ -17,7 +17,7 @@ from ..robots import Robot, load_urdf
 from ..show.robot_page import robot_page
 from .joints import joint_angles
 from .options import record_of
-from .outputs import check_outputs, replacement_words
+from .outputs import check_outputs, written_words
 from .proposals import Sight, best_postures, worths
 
 
@@ -183,7 +183,7 @@ def _write(
     drawings = [folder / f"overlay_{k}.png" for k in range(len(masks) * finite)]
     written = [folder / "camera.json", *drawings]
     written += [Path(options.report)] if options.report is not None and finite else []
-    words = f"written    {', '.join(map(str, written))}{replacement_words(written)}"
+    words = written_words(written)
     with named(path="output"):
         fitted = fit.cameras["camera"]._replace(status=fit.status)
         io.save_fit(written[0], fitted, pixel_centres=centres)

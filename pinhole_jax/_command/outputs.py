@@ -24,6 +24,11 @@ def replacement_words(paths: Sequence[str | Path]) -> str:
     return f" (replaced {', '.join(there)})" if there else ""
 
 
+def written_words(paths: Sequence[str | Path]) -> str:
+    """Return the line about files to write, and which of them are replaced."""
+    return f"written    {', '.join(map(str, paths))}{replacement_words(paths)}"
+
+
 @contextmanager
 def say_written(path: str, words: str) -> Iterator[None]:
     """Print that a file was written: on stderr if it went to stdout or a pipe."""

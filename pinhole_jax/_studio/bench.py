@@ -22,7 +22,7 @@ from ..formats import FORMATS
 from . import hand
 from .descriptions import fit_description, mask_description, with_held_phi
 from .drawing import camera_numbers, grid_lines, outline_lines, straight_lines
-from .exports import export, plain
+from .exports import export, path_words, plain
 from .session import Session, free_of, line_of, save_session, session_from_text
 from .strokes import (
     LoadedMask,
@@ -319,8 +319,9 @@ class Bench:
         """Write the session as one file."""
         self.free = free_of(free)
         path = self.folder / f"{plain(name)}.studio.json"
+        written = path_words(path)
         save_session(path, self.session())
-        return {"written": [str(path)]}
+        return {"written": [written]}
 
     def session(self) -> Session:
         """Return the session as it is."""

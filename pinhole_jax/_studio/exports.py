@@ -25,7 +25,8 @@ ENDINGS = {
 def export(
     folder: Path, name: str, camera: Camera, format: str, mask: np.ndarray | None
 ) -> list[str]:
-    """Write a camera in a format, or in all ("all"), and its mask, if any; return the paths.
+    """Write a camera in a format, or in all ("all"), and its mask, if any; return the paths, and
+    which of them are replaced.
 
     Raises ValueError for other formats and names, and for a camera that the format cannot hold.
     """
@@ -33,13 +34,19 @@ def export(
     if format not in ("all", *FORMATS):
         raise ValueError(f"`format`: expected one of all, {', '.join(FORMATS)}, got {format!r}")
     chosen = list(FORMATS) if format == "all" else [format]
-    paths = [folder / (name + ENDINGS[each]) for each in chosen]
-    for path, each in zip(paths, chosen, strict=True):
+    paths = {folder / (name + ENDINGS[each]): each for each in chosen}
+    image = folder / f"{name}_mask.png"
+    written = [path_words(path) for path in (*paths, *[image] * (mask is not None))]
+    for path, each in paths.items():
         write(path, {name: camera}, each)
     if mask is not None:
-        paths.append(folder / f"{name}_mask.png")
-        io.save_image(paths[-1], mask)
-    return [str(path) for path in paths]
+        io.save_image(image, mask)
+    return written
+
+
+def path_words(path: Path) -> str:
+    """Return a path to write as text, and whether that replaces a file."""
+    return f"{path}{' (replaced)' * path.exists()}"
 
 
 def plain(name: str) -> str:

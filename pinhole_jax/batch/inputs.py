@@ -148,7 +148,7 @@ def read_start(record: Record, size: Size, say: Say) -> Start:
     for name in ("start", "dist"):
         if name in record and ways != ["K"]:
             raise ValueError(f"`{name}`: expected `K` beside it, got none")
-    window = _window(record, size)
+    window = _crop(record, size)
     if ways == ["camera"]:
         return Start(camera=window.camera(_file_camera(record, window.picture), "camera"))
     if ways == ["K"]:
@@ -284,7 +284,7 @@ def check_fov(fov: Any, say: Say) -> None:
 # A mask that shows a part of its picture, or was resized.
 
 
-class _Window(NamedTuple):
+class _Crop(NamedTuple):
     """The part of the camera's picture that a mask shows.
 
     - `crop`: left, top, W, H (px); None: the whole picture.
@@ -320,12 +320,12 @@ class _Window(NamedTuple):
         return camera if self.before == self.size else pj.formats.resized(camera, *self.size)
 
 
-def _window(record: Record, size: Size) -> _Window:
+def _crop(record: Record, size: Size) -> _Crop:
     before = size
     if "resize" in record:
         before = _pixel_size("resize", *numbers_of("resize", record["resize"], 2))
     if "crop" not in record:
-        return _Window(None, before, size)
+        return _Crop(None, before, size)
     left, top, *sides = numbers_of("crop", record["crop"], 4)
     inside = _pixel_size("crop", *sides)
     if inside != before and "resize" not in record:
@@ -336,7 +336,7 @@ def _window(record: Record, size: Size) -> _Window:
     if inside != before:
         words = f"expected the size of `crop`, {_size_words(inside)}, got {_size_words(before)}"
         raise ValueError(f"`resize`: {words}")
-    return _Window((left, top, *inside), before, size)
+    return _Crop((left, top, *inside), before, size)
 
 
 def _pixel_size(field: str, W: float, H: float) -> Size:
