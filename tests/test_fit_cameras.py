@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
-from pinhole_jax._joint.lenses import alike_in_groups, known_by_others
+from pinhole_jax._joint.lenses import known_by_others, share_means
 from pinhole_jax._solver.least_squares import Rows, solve
 
 
@@ -297,19 +297,6 @@ def test_views_move_with_masks_and_weights_as_refits_do(scene, masks, free):
     check_slope(answer, inputs, velocity, 1e-4, 1e-3)
 
 
-@pytest.mark.full
-def test_views_move_with_pixels_as_their_information_says(scene, masks):
-    """Independent errors of pixels make the error bars that `joint_observability` tells."""
-    phi = lambda targets: pj.fit_cameras(scene, targets, TRUTHS)[0].camera.phi
-    by_pixels = jax.grad(phi)([jnp.asarray(mask) for mask in masks])
-    views = [pj.JointView(scene, None, camera=str(k)) for k in range(3)]
-    cameras = {str(k): camera for k, camera in enumerate(TRUTHS)}
-    known = pj.joint_observability(views, cameras, shared="phi", noise=1.0)
-    expected = known.std[known.names.index("0 phi")]
-    std = sum(float(jnp.sum(x * x)) for x in by_pixels) ** 0.5
-    np.testing.assert_allclose(std, expected, rtol=1e-3)
-
-
 def test_priors_on_views_are_not_differentiated(scene, masks):
     fit = lambda t: pj.fit_cameras(scene, [t], STARTS[:1], prior={"phi": (0.6, 0.1)})[0].camera.phi
     with pytest.raises(ValueError, match="`prior`: expected none where the fit is diff"):
@@ -325,7 +312,7 @@ def test_views_of_different_lenses_share_only_what_both_have():
     plain = pj.Camera([0.0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 8, 6)
     bent = plain.replace(phi=0.8, lens=pj.Lens([4, 3], distortion=pj.BrownConrady(0.1)))
     both = {"plain": plain, "bent": bent}
-    same = alike_in_groups(both, {"phi": [("plain", "bent")]})
+    same = share_means(both, {"phi": [("plain", "bent")]})
     assert {float(c.phi) for c in same.values()} == {0.7}
     with pytest.raises(ValueError, match="expected distortions of one kind to share, got Brown"):
-        alike_in_groups(both, {"k1": [("plain", "bent")]})
+        share_means(both, {"k1": [("plain", "bent")]})

@@ -34,32 +34,28 @@ URDF = """<robot name="two">
 def test_urdf_becomes_a_scene(tmp_path):
     pytest.importorskip("yourdfpy", reason="no yourdfpy here: URDFs are not tried")
     trimesh.creation.box((0.1, 0.1, 0.5)).export(tmp_path / "arm.stl")
-    (tmp_path / "two.urdf").write_text(URDF)
-    robot = pj.robots.load_urdf(tmp_path / "two.urdf")
+    (file := tmp_path / "two.urdf").write_text(URDF)
+    robot = pj.robots.load_urdf(file)
     assert (robot.joints, robot.links) == (("turn",), ("base", "arm"))
     tip = robot.poses([np.pi / 2])["tip"]
     assert np.allclose(tip[:3, 3], [1, 0, 0.1])
-    low, high = (
-        f(np.asarray(robot.scene({"turn": np.pi / 2}).mesh.vertices), axis=0)
-        for f in (np.min, np.max)
-    )
-    assert np.allclose(low, [-0.25, -0.25, -0.1], atol=1e-6)
-    assert np.allclose(high, [1, 0.25, 0.2], atol=1e-6)
-    alone = pj.robots.load_urdf(tmp_path / "two.urdf", leave_out=["base"])
+    vertices = np.asarray(robot.scene({"turn": np.pi / 2}).mesh.vertices)
+    assert np.allclose(vertices.min(axis=0), [-0.25, -0.25, -0.1], atol=1e-6)
+    assert np.allclose(vertices.max(axis=0), [1, 0.25, 0.2], atol=1e-6)
+    alone = pj.robots.load_urdf(file, leave_out=["base"])
     assert len(alone.scene([0.0]).mesh.vertices) == 8
-    with pytest.raises(ValueError, match="`angles`: expected one of each joint, got none of turn"):
-        robot.poses({})
-    with pytest.raises(ValueError, match="`angles`: expected joints among turn, got 'bend'"):
-        robot.poses({"turn": 0, "bend": 1})
-    with pytest.raises(ValueError, match=r"`angles`: expected 1 numbers \(turn\), got shape"):
-        robot.scene([0, 1])
-    with pytest.raises(ValueError, match="`leave_out`: expected links among base"):
-        pj.robots.load_urdf(tmp_path / "two.urdf", leave_out=["hand"])
-    with pytest.raises(ValueError, match="`poses`: expected one of each link, got none of arm"):
-        robot.at({"base": np.eye(4)})
     (tmp_path / "no.urdf").write_text("<robot")
-    with pytest.raises(ValueError, match="`path`: expected a URDF file, got"):
-        pj.robots.load_urdf(tmp_path / "no.urdf")
+    load = pj.robots.load_urdf
+    for call, words in (
+        (lambda: robot.poses({}), "`angles`: expected one of each joint, got none of turn"),
+        (lambda: robot.poses({"turn": 0, "bend": 1}), "`angles`: expected joints among turn, got"),
+        (lambda: robot.scene([0, 1]), r"`angles`: expected 1 numbers \(turn\), got shape"),
+        (lambda: load(file, leave_out=["hand"]), "`leave_out`: expected links among base"),
+        (lambda: robot.at({"base": np.eye(4)}), "`poses`: expected one of each link, got none of"),
+        (lambda: load(tmp_path / "no.urdf"), "`path`: expected a URDF file, got"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            call()
 
 
 @pytest.fixture
@@ -148,29 +144,27 @@ def test_command_names_the_wrong_robot_argument(robot_files, capsys):
         Path(f"{unit}.json").write_text(text)
     pj.io.save_image("small.png", np.zeros((30, 40, 3), np.uint8))
     robot, masks = robot_files[:2], robot_files[3:]
-    for change, words in (
+    words = [*robot_files, *start]
+    for change, message in (
         ([*robot_files[:-1], *start], "`MASK`: expected one for each of 3 rows of 'joints.csv'"),
-        ([*robot_files, *start, "--joint-zeros", "-1"], "`--joint-zeros`: expected a positive"),
+        ([*words, "--joint-zeros", "-1"], "`--joint-zeros`: expected a positive"),
         (
-            [*robot_files, *start, "--joint-zeros", "1", "--in-hand", "arm"],
+            [*words, "--joint-zeros", "1", "--in-hand", "arm"],
             "`--joint-zeros`: expected none beside `--in-hand`",
         ),
+        ([*words, "--propose", "short.json"], "`--propose`: expected 1 angles in row 1"),
         (
-            [*robot_files, *start, "--propose", "short.json"],
-            "`--propose`: expected 1 angles in row 1",
-        ),
-        (
-            [*robot_files, *start, "--free", "phi", "--propose", "joints.csv"],
+            [*words, "--free", "phi", "--propose", "joints.csv"],
             "`--propose`: expected `pose` in --free",
         ),
-        ([*robot_files, *start, "--refine"], "`--refine`: expected photos, --images"),
-        ([*robot_files, *start, "--images", masks[0]], "`--images`: expected one for each of 3"),
+        ([*words, "--refine"], "`--refine`: expected photos, --images"),
+        ([*words, "--images", masks[0]], "`--images`: expected one for each of 3"),
         (
-            [*robot_files, *start, "--images", *masks[:2], "small.png"],
+            [*words, "--images", *masks[:2], "small.png"],
             "`--images`: expected the mask's size 96 x 96, got 40 x 30 (small.png)",
         ),
-        ([*robot_files, *start, "--in-hand", "tool"], "`--in-hand`: expected a link among base"),
-        ([*robot_files, *start, "--leave-out", "tool"], "`--leave-out`: expected links among base"),
+        ([*words, "--in-hand", "tool"], "`--in-hand`: expected a link among base"),
+        ([*words, "--leave-out", "tool"], "`--leave-out`: expected links among base"),
         ([*robot, "far.csv", *masks, *start], "-34 in row 2 of 'far.csv': degrees?"),
         ([*robot, "deg.json", *masks, *start], "`JOINTS`: expected -3 to 3 rad of joint"),
         (
@@ -181,7 +175,7 @@ def test_command_names_the_wrong_robot_argument(robot_files, capsys):
         ([*robot, "short.json", *masks[:1], *start], "`JOINTS`: expected 1 angles in row 1, got 2"),
     ):
         assert command.main(change) == 2
-        assert words in capsys.readouterr().err
+        assert message in capsys.readouterr().err
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from scipy.stats import t
 import pinhole_jax as pj
 from pinhole_jax._camera.poses import at_pose, inverse, pose_of
 from pinhole_jax._joint.door import joint_problem
-from pinhole_jax._joint.levels import descended, to_the_end
+from pinhole_jax._joint.levels import descend, finish
 from pinhole_jax._solver import levenberg_marquardt
 
 NAMES = ("one", "two", "three")
@@ -67,8 +67,8 @@ def test_covariance_equals_that_of_one_dense_matrix(three):
     known = {"phi": (0.61, 0.002), "e_x": (0.0, 3.0)}
     problem = joint_problem(views, starts, "pose", outlier_px=2.0, prior=known, shared="phi")
     assert (problem.size, len(problem.priors)) == (19, 4)
-    path = descended(problem, problem.start, lambda words: None, range(problem.levels, 0, -1))
-    found = to_the_end(problem, path, lambda words: None).found
+    path = descend(problem, problem.start, lambda words: None, range(problem.levels, 0, -1))
+    found = finish(problem, path, lambda words: None).found
     layout = found.problem
     seen, rows = found.descent.seen, []
     for k, one in enumerate(seen):

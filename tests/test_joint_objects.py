@@ -67,7 +67,7 @@ def test_size_and_distance_are_one_to_a_single_camera(larger):
     one = {"left": TRUTH}
     fit = pj.fit_joint(views[:1], one, (), objects=start)
     assert fit.status == "rank_deficient"
-    assert fit.weak[0].startswith("the scale of 'part' and how far it is away are one")
+    assert fit.weak[0].startswith("the scale of 'part' and its distance cannot be told apart")
     assert np.isinf(fit.scales["part"].std)
     assert np.any(np.isinf(fit.objects["part"].std[3:]))
     assert np.all(fit.objects["part"].std[:3] < 1e-6)
@@ -163,21 +163,6 @@ def test_observability_of_several_views_equals_polygon_differences(arm, larger):
     assert np.isinf(one.std[-1])
     assert one.weak[0] == "the place of part against the scale of part is not visible"
     assert "6 of 7 directions are visible" in str(one)
-
-
-@pytest.mark.long
-def test_error_bars_of_a_size_hold(larger):
-    views, place = larger
-    off = []
-    for seed in range(12):
-        random = np.random.default_rng(seed)
-        noisy = [
-            v._replace(target=v.target + 0.05 * random.normal(size=(SIZE, SIZE))) for v in views
-        ]
-        fit = pj.fit_joint(noisy, BOTH_EYES, (), objects=place)
-        off.append((fit.scales["part"].value - 1.1) / fit.scales["part"].std)
-    assert np.mean(np.abs(off) < 1.96) >= 10 / 12
-    assert np.max(np.abs(off)) > 0.3
 
 
 def test_prior_on_an_object_counts(arm, scenes):

@@ -82,7 +82,7 @@ class Agreement:
         """The agreement of the other views, and priors, by themselves."""
         weights = np.where(np.arange(len(self.off)) == view, 0.0, self.problem.weights)
         problem = replace(self.problem, weights=weights)
-        solved = _solved(problem, self.descent.seen, self.prior_rows)
+        solved = _solve(problem, self.descent.seen, self.prior_rows)
         return replace(self, problem=problem, solved=solved)
 
     @property
@@ -116,20 +116,20 @@ class Agreement:
         by_masks = variance * self.solved.inverse(place, place)
         return by_masks + self._by_priors.covariance(place, self.noise**2 - variance)
 
-    def covariance_of(self, told: Estimates) -> np.ndarray:
+    def covariance_of(self, estimates: Estimates) -> np.ndarray:
         """The covariance (p, p) of reported numbers; infinite, with no covariances, where they move
         along directions that change no mask."""
-        return self._carried(told, self.covariance)
+        return self._carried(estimates, self.covariance)
 
-    def independent_of(self, told: Estimates) -> np.ndarray:
+    def independent_of(self, estimates: Estimates) -> np.ndarray:
         """`covariance_of` were the residuals independent and of one variance."""
-        return self._carried(told, self.independent)
+        return self._carried(estimates, self.independent)
 
     def _carried(
-        self, told: Estimates, covariance: Callable[[np.ndarray], np.ndarray]
+        self, estimates: Estimates, covariance: Callable[[np.ndarray], np.ndarray]
     ) -> np.ndarray:
-        result = told.by_unknowns @ covariance(told.place) @ told.by_unknowns.T
-        forget(result, told.by_unknowns @ self.unseen[told.place])
+        result = estimates.by_unknowns @ covariance(estimates.place) @ estimates.by_unknowns.T
+        forget(result, estimates.by_unknowns @ self.unseen[estimates.place])
         return result
 
     @cached_property
@@ -186,7 +186,7 @@ class _Sandwich:
         return times * result
 
 
-def agreed(
+def agree(
     problem: JointProblem, found: Descent, px: float, counts: np.ndarray | None = None
 ) -> Agreement:
     """The agreement of views where their weighed squares are least, from a descent's end on.
@@ -205,7 +205,7 @@ def agreed(
     return _agreement(problem, found, counts)
 
 
-def priors_weighed(problem: JointProblem, found: Descent) -> JointProblem:
+def weigh_priors(problem: JointProblem, found: Descent) -> JointProblem:
     """The problem whose priors are weighed against the masks so that they are known best: what errs
     along stretches, or all outwards, says less than its residuals do."""
     if not problem.priors:
@@ -247,7 +247,7 @@ def _agreement(problem: JointProblem, found: Descent, counts: np.ndarray) -> Agr
     return Agreement(
         problem=problem,
         descent=found._replace(seen=seen),
-        solved=_solved(problem, seen, prior_rows),
+        solved=_solve(problem, seen, prior_rows),
         gradients=gradients,
         excess=excess if len(seen) > 1 else 1.0,  # (One view has none that it could differ from.)
         freedom=freedom,
@@ -259,7 +259,7 @@ def _agreement(problem: JointProblem, found: Descent, counts: np.ndarray) -> Agr
     )
 
 
-def _solved(problem: JointProblem, seen: list[ViewRows], prior_rows: list[Rows]) -> Solved:
+def _solve(problem: JointProblem, seen: list[ViewRows], prior_rows: list[Rows]) -> Solved:
     rows = [problem.view_rows(k, s).times(problem.weights[k] ** 0.5) for k, s in enumerate(seen)]
     return solve([*rows, *prior_rows], problem.size, np.zeros(problem.size))
 

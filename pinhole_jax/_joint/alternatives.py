@@ -41,8 +41,8 @@ from .._solver.moves import canonical, on_film
 from .._solver.parameters import LABELS, labels_of
 from .._solver.priors import Others
 from .._solver.solver import Found, Solver
-from .lenses import alike_in_groups, known_by_others
-from .levels import Path, Tell, descended
+from .lenses import known_by_others, share_means
+from .levels import Path, Tell, descend
 from .system import JointProblem, LevelEnd
 from .views import SCALE, State
 
@@ -91,7 +91,7 @@ class Alternatives(NamedTuple):
     free: tuple[Free, ...]
 
 
-def compared(
+def compare(
     problem: JointProblem, path: Path | None, tell: Tell
 ) -> tuple[Path, list[Alternatives]]:
     """The best path, and what explains the masks as well, a lone pose at a time; without a path
@@ -116,7 +116,7 @@ def compared(
         moved = [x for x in zip(poses, bests, strict=True) if x[1] is not state]
         if path is not None and (not moved or turn == ROUNDS - 1):
             return path, found
-        there = descended(problem, joined(problem, state, moved), tell, [1])
+        there = descend(problem, join(problem, state, moved), tell, [1])
         if path is None:
             path = there
         elif there.squares <= path.squares + _noise(problem, path):
@@ -133,7 +133,7 @@ def _is_elsewhere(pose: LonePose, path: Path, state: State) -> bool:
     return bool(separation(eye.solver, *cameras) > ONE_PLACE)
 
 
-def joined(problem: JointProblem, state: State, moved: list[tuple[LonePose, State]]) -> State:
+def join(problem: JointProblem, state: State, moved: list[tuple[LonePose, State]]) -> State:
     """The state with lone poses, and what else their views show, of other states."""
     poses, lenses, scales = dict(state.poses), dict(state.lenses), dict(state.scales)
     for pose, there in moved:
@@ -144,7 +144,7 @@ def joined(problem: JointProblem, state: State, moved: list[tuple[LonePose, Stat
     for unknown in problem.unknowns:
         if len(unknown.cameras) > 1:
             groups.setdefault(unknown.kind, []).append(unknown.cameras)
-    return State(poses, alike_in_groups(lenses, groups), scales, state.zeros)
+    return State(poses, share_means(lenses, groups), scales, state.zeros)
 
 
 def _noise(problem: JointProblem, path: Path) -> float:
@@ -203,16 +203,16 @@ def _places(pose: LonePose, path: Path | None, start: State | None, tell: Tell) 
     """Paths of a lone pose that explain its masks as well as the best, which is the first."""
     here = None if path is None else pose.seen_in(path)
     if len(pose.numbers) == 1 and pose.name not in pose.problem.objects():
-        return _of_one_view(pose, here, start)
+        return _paths_of_one_view(pose, here, start)
     problem, paths = pose.problem, [] if here is None else [here]
     if here is None or not _is_content(problem, here):
         state = problem.start if here is None else here.descent.state
-        found = _searched_together(pose, state, tell)
+        found = _search_together(pose, state, tell)
         paths = [f for f in found if here is None or f.squares < here.squares] or paths
-    return _equally_good(problem, [*paths, *_looking_alike(pose, paths[0], tell)])
+    return _best_paths(problem, [*paths, *_lookalikes(pose, paths[0], tell)])
 
 
-def _of_one_view(pose: LonePose, here: Path | None, start: State | None) -> list[Path]:
+def _paths_of_one_view(pose: LonePose, here: Path | None, start: State | None) -> list[Path]:
     """Paths of the pose of one view, by what `fit_camera` asks of its mask."""
     problem, (eye,) = pose.problem, pose.problem.eyes
     state = problem.start if here is None else here.descent.state
@@ -220,12 +220,12 @@ def _of_one_view(pose: LonePose, here: Path | None, start: State | None) -> list
     begin = None if start is None else eye.canonical(start)
     mask = replace(eye.mask, camera=on_film(camera, eye.mask.camera))
     silent = lambda news: None
-    onward = lambda place: descended(
+    onward = lambda place: descend(
         problem, eye.with_camera(pose.name, place.camera, state), silent, [1]
     )
     if here is None:
         places = everywhere(solver, mask, silent)
-        found = _agreeing(problem, solver, mask, places, begin)
+        found = _keep_agreeing(problem, solver, mask, places, begin)
         paths = [onward(place) for place in found]
     else:
         now = Found(camera, solver.look(camera), ())
@@ -234,7 +234,7 @@ def _of_one_view(pose: LonePose, here: Path | None, start: State | None) -> list
             if begin is None
             else looked_round(solver, mask, now, begin, silent)
         )
-        found = _agreeing(problem, solver, mask, places, begin)
+        found = _keep_agreeing(problem, solver, mask, places, begin)
         others = [place for place in found if not _is_same(solver, place, now)]
         paths = [here.then(onward(place)) for place in others]
         # (From a start, what is as good and nearer to it comes first.)
@@ -247,7 +247,7 @@ def _of_one_view(pose: LonePose, here: Path | None, start: State | None) -> list
     return [paths[0]._replace(free=tuple(places.free)), *paths[1:]]
 
 
-def _agreeing(
+def _keep_agreeing(
     problem: JointProblem, solver: Solver, mask: Mask, places: Places, start: Camera | None
 ) -> list[Found]:
     """The best place, and others: of masks with outliers those that agree with most of the outline,
@@ -278,12 +278,12 @@ def _is_content(problem: JointProblem, path: Path) -> bool:
     return path.descent.ended and overlap >= LIKELY_IOU * union
 
 
-def _searched_together(pose: LonePose, state: State, tell: Tell) -> list[Path]:
+def _search_together(pose: LonePose, state: State, tell: Tell) -> list[Path]:
     """Paths from the views' guesses that explain the masks best, the best first."""
     problem = pose.problem
     few = problem.few(LOOKED_AT)
     coarsest = replace(few, depth=few.levels)
-    tried = _guessed(few, pose.name, state)
+    tried = _guesses(few, pose.name, state)
     tell(f"{len(tried)} guesses of {len(few.eyes)} views")
 
     def squares(state: State) -> float:
@@ -301,7 +301,7 @@ def _searched_together(pose: LonePose, state: State, tell: Tell) -> list[Path]:
     for level in range(few.levels, 0, -1):
         # (All views are looked at where few states are left.)
         part = few if level > 2 else problem
-        paths = [p.then(descended(part, p.descent.state, tell, [level])) for p in paths]
+        paths = [p.then(descend(part, p.descent.state, tell, [level])) for p in paths]
         paths.sort(key=lambda p: p.squares)
         most = (WORSE if level > 1 else 1 + EQUAL) * paths[0].squares
         best, *others = _apart(problem, paths, SAME)
@@ -309,7 +309,7 @@ def _searched_together(pose: LonePose, state: State, tell: Tell) -> list[Path]:
     return paths
 
 
-def _equally_good(problem: JointProblem, paths: list[Path]) -> list[Path]:
+def _best_paths(problem: JointProblem, paths: list[Path]) -> list[Path]:
     """The paths that explain the masks as well as the best of them, which stands first unless the
     first does as well; each once."""
     least = min(path.squares for path in paths)
@@ -320,7 +320,7 @@ def _equally_good(problem: JointProblem, paths: list[Path]) -> list[Path]:
     return _apart(problem, good, SAME)
 
 
-def _looking_alike(pose: LonePose, best: Path, tell: Tell) -> list[Path]:
+def _lookalikes(pose: LonePose, best: Path, tell: Tell) -> list[Path]:
     """Paths from views that look like the best one: its object is near its own mirror image, or
     turned into itself."""
     problem, state = pose.problem, best.descent.state
@@ -332,10 +332,10 @@ def _looking_alike(pose: LonePose, best: Path, tell: Tell) -> list[Path]:
     noise = sum(EXACT * float(seen.view.sums.touched) for seen in best.descent.seen)
     begun = [coarse.descend(other, FIRST_STEPS, ROUGH_PX) for other in alike[:ALIKE]]
     likely = [d.state for d in begun if d.squares <= WORSE * here + noise]
-    return [descended(problem, other, tell, range(coarse.depth, 0, -1)) for other in likely]
+    return [descend(problem, other, tell, range(coarse.depth, 0, -1)) for other in likely]
 
 
-def _guessed(problem: JointProblem, name: str, state: State) -> list[State]:
+def _guesses(problem: JointProblem, name: str, state: State) -> list[State]:
     """States in which the searched pose is a guess of one of the views."""
     result = []
     for eye in problem.eyes:

@@ -35,7 +35,7 @@ def forget(covariance: np.ndarray, unseen: np.ndarray) -> None:
     covariance[lost, lost] = np.inf
 
 
-def together(parts: Sequence[Estimates]) -> Estimates:
+def concatenate(parts: Sequence[Estimates]) -> Estimates:
     """Several as one."""
     from scipy.linalg import block_diag
 
@@ -45,13 +45,13 @@ def together(parts: Sequence[Estimates]) -> Estimates:
     return Estimates(sum(labels, ()), np.concatenate(places), np.asarray(block_diag(*by_unknowns)))
 
 
-def of_pose(problem: JointProblem, name: str, state: State) -> Estimates:
+def pose_estimates(problem: JointProblem, name: str, state: State) -> Estimates:
     """The pose of a camera, as in a `Fit`."""
     _, eye = problem.eye_of(name)
     rotation = (state.poses[eye.moving] @ eye.rig)[:3, :3]
     by_twist = reported_twist(rotation) @ adjoint(inverse(eye.rig))
     places = {kind: problem.place(eye.moving, kind) for kind in MOTIONS}
-    return together(
+    return concatenate(
         [
             Estimates(labels_of((kind,)), place, by_twist[MOTIONS[kind], MOTIONS[kind]])
             for kind, place in places.items()
@@ -60,27 +60,27 @@ def of_pose(problem: JointProblem, name: str, state: State) -> Estimates:
     )
 
 
-def of_camera(problem: JointProblem, name: str, state: State, view: View) -> Estimates:
+def camera_estimates(problem: JointProblem, name: str, state: State, view: View) -> Estimates:
     """The parameters of a camera, one of whose views is given, as in a `Fit`."""
-    eye, parts = problem.eye_of(name)[1], [of_pose(problem, name, state)]
+    eye, parts = problem.eye_of(name)[1], [pose_estimates(problem, name, state)]
     for row, owner in eye.owners.items():
         labels, place = labels_of((row,)), problem.place(owner, row)
         by_unknowns = lens_reported(view, eye.solver.freed, row)
         by_unknowns[[LABELS[x].unit == "px" for x in labels]] *= problem.cameras[name].H
         if place is not None:
             parts.append(Estimates(labels, place, by_unknowns))
-    return together(parts)
+    return concatenate(parts)
 
 
-def of_object(problem: JointProblem, name: str, state: State) -> Estimates:
+def object_estimates(problem: JointProblem, name: str, state: State) -> Estimates:
     """The numbers of an object's pose: a turn about its own axes, its place."""
     by_twist = np.eye(TWIST)
     by_twist[3:, 3:] = state.poses[name][:3, :3]
     place = problem.place(name, POSE)
-    return together([]) if place is None else Estimates(OF_OBJECT, place, by_twist)
+    return concatenate([]) if place is None else Estimates(OF_OBJECT, place, by_twist)
 
 
-def of_number(problem: JointProblem, name: str, kind: str, state: State) -> Estimates:
+def number_estimate(problem: JointProblem, name: str, kind: str, state: State) -> Estimates:
     """A scale, whose logarithm is the unknown, or a joint's zero."""
     place = problem.place(name, kind)
     value = state.scales[name] if kind == SCALE else 1.0
@@ -88,14 +88,19 @@ def of_number(problem: JointProblem, name: str, kind: str, state: State) -> Esti
     return Estimates((kind,), place, np.array([[value]]))
 
 
-def of_all(problem: JointProblem, state: State, views: Sequence[View]) -> Estimates:
+def all_estimates(problem: JointProblem, state: State, views: Sequence[View]) -> Estimates:
     """All reported numbers, with the names of whose they are."""
-    parts = {name: of_camera(problem, name, state, views[problem.eye_of(name)[0]])
-             for name in problem.cameras}  # fmt: skip
-    result = [*parts.items(), *((n, of_object(problem, n, state)) for n in problem.objects())]
+    parts = {
+        name: camera_estimates(problem, name, state, views[problem.eye_of(name)[0]])
+        for name in problem.cameras
+    }
+    result = [
+        *parts.items(),
+        *((n, object_estimates(problem, n, state)) for n in problem.objects()),
+    ]
     for kind in (SCALE, ZERO):
-        result += [(n, of_number(problem, n, kind, state)) for n in problem.named(kind)]
-    return together(
+        result += [(n, number_estimate(problem, n, kind, state)) for n in problem.named(kind)]
+    return concatenate(
         [
             part._replace(labels=tuple(f"{name} {label}" for label in part.labels))
             for name, part in result

@@ -12,11 +12,11 @@ from .._fit.result import with_modes
 from .._numerics.arrays import ArrayLike, Input, is_concrete
 from .._solver.priors import Pair
 from .agreement import Agreement
-from .alternatives import Alternatives, compared, joined
+from .alternatives import Alternatives, compare, join
 from .door import joint_problem
 from .joint_fit import JointFit
-from .levels import Path, Tell, descended, to_the_end
-from .summary import reported
+from .levels import Path, Tell, descend, finish
+from .summary import report
 from .system import JointProblem
 from .velocities import answer_of, velocity, with_answer
 from .views import POSE, JointView
@@ -42,43 +42,40 @@ def fit_joint(
     max_steps: int = 64,
     progress: bool | Callable[[str], None] | None = None,
 ) -> JointFit:
-    """Cameras and objects whose masks are closest to all those given, with error bars.
+    """The cameras and objects that match all masks best, with error bars.
 
-    - `views`: `JointView`s: each names its scene, mask and camera, and where both are in the world
-      (see there). All masks seen by one camera have its size. Where they bring photos, the fit is
-      refined on these (`weak` says what each was found to say).
-    - `cameras`: where to start, by name; one alone is named "camera". Its pose is on what carries
-      it: in the world where a view has no `mount`, else in the mount's frame, x right, y down, z
-      forward (a hand's camera).
-    - `free`: "pose" (without it, the cameras stay where they are; or "position" or "orientation"),
-      phi or d, principal_point, aspect and the lens's coefficients, of each camera, the same in all
-      of its views.
-    - `shared`: what of phi, principal_point, aspect and the lens's coefficients ("distortion": all)
-      is free, too, and the same for all cameras; or by such names groups of cameras that have one
-      in common: {"phi": [("left", "right"), ("front", "back")]}. It begins at the mean.
-    - `objects`: where unknown objects are at first (4, 4), by the names that views give.
-    - `rig`: poses (4, 4) of cameras on a rig, by name: they move as one, from where the first of
-      them is.
-    - `search`: poses are not known at all: cameras, rig or objects, each alone in its views. All
-      views of a pose are searched together. Without it that is done where the start leads to what
-      does not explain the masks.
+    - `views`: `JointView`s: each names its scene, mask and camera, and the transforms that are
+      known. All masks of one camera have its size. If views bring photos, the fit is refined on
+      these (`weak` has a sentence on each).
+    - `cameras`: the cameras to start from, by name; a single one is named "camera". Poses are in
+      the world, or, for views with a `mount`, in the mount's frame: x right, y down, z forward.
+    - `free`: "pose" ("position", "orientation"; without it cameras stay put), phi or d,
+      principal_point, aspect and the lens's coefficients: of each camera, the same in all its
+      views.
+    - `shared`: parameters that are free and the same for all cameras: phi, principal_point, aspect,
+      the lens's coefficients ("distortion": all of these). Or groups of cameras by parameter:
+      {"phi": [("left", "right"), ("front", "back")]}. Each begins at the mean.
+    - `objects`: poses (4, 4) of unknown objects to start from, by the names in the views.
+    - `rig`: poses (4, 4) of cameras on a rig, by name: they move as one, starting from the first
+      camera's pose.
+    - `search`: no pose is known, of cameras, rig or objects: all views of a pose are searched
+      together. Without it they are searched only if the start leads to no match.
     - `outlier_px`: as in `fit_camera`: pixels farther from a mask's edge lose their weight at the
       end, where masks are not exact.
     - `prior`, `bounds`: as in `fit_camera`, the same for each camera, or by the names of cameras
-      (and objects): {"left": {"phi": (0.6, 0.01)}}. An object's prior is of its place: x, y, z;
-      that of a `JointView.scale`, by its name, of "scale" (which begins there, without one at 1).
-      Of what cameras share a prior counts once.
-      Where masks err along stretches, what is known beforehand counts for as much more.
-    - `joint_zeros`: how surely the zeros of a robot's joints are known: standard deviations, by the
-      joints' names (rad; of sliding ones in world units), or one number for all that turn. They are
-      the same in all views that have a `posture`, and are found with the rest. None: exactly.
+      (and objects): {"left": {"phi": (0.6, 0.01)}}. An object's prior is on its position x, y, z; a
+      `JointView.scale`'s, by its name, on "scale", which begins there (or at 1). A prior on a
+      shared parameter counts once. Where masks err along stretches, priors count for more.
+    - `joint_zeros`: standard deviations of the zeros of a robot's joints, by joint (rad; world
+      units for sliding ones), or one number for all that turn. The zeros are the same in all views
+      with a `posture`, and are fitted with the rest. None: they are exact.
 
-    Each view is reduced to a few rows by the program that a single fit has; what few views depend
-    on is eliminated there. So the cost is linear in views and cameras, and nothing is compiled that
-    `fit_camera` has not (but for 32 small masks and more, one program). Levenberg-Marquardt leads
-    from coarse to fine; then a view whose residuals are larger than most views' counts less
-    (`JointFit.views`). The error bars are what the masks' errors make of all unknowns together, and
-    grow where views differ by more.
+    Each view is reduced to a few rows by the program of a single fit; unknowns of few views are
+    eliminated there. So the cost is linear in views and cameras, and nothing is compiled that
+    `fit_camera` does not compile (from 32 small masks on, one program more). Levenberg-Marquardt
+    goes from coarse to fine. Then views with larger residuals than most count less
+    (`JointFit.views`). The error bars follow from the masks' errors, and grow if views differ by
+    more than these explain.
 
     Runs outside `jit` and `vmap`. Cameras, objects' poses and scales of the result are
     differentiable (once, forward and reverse) with respect to views' scenes, targets, weights,
@@ -151,20 +148,20 @@ def _fit(problem: JointProblem, search: bool, tell: Tell) -> tuple[JointFit, Agr
     # 3 Descend from the start, coarse to fine.
     path = None
     if not search:
-        path = descended(problem, problem.start, tell, range(problem.levels, 0, -1))
+        path = descend(problem, problem.start, tell, range(problem.levels, 0, -1))
     # 4 Weigh what else explains the masks.
-    path, alternatives = compared(problem, path, tell)
+    path, alternatives = compare(problem, path, tell)
     if problem.zeros:
         problem, path, alternatives = _with_zeros(problem, path, alternatives, tell)
     # 5 Keep the best, and its modes.
-    end = to_the_end(problem, path, tell, photos=True)
+    end = finish(problem, path, tell, photos=True)
     modes = [
-        (part.pose.name, reported(to_the_end(part.pose.problem, other, say), {}))
+        (part.pose.name, report(finish(part.pose.problem, other, say), {}))
         for part in alternatives
         for other in part.others
     ]
     # 6 Status, covariance, words.
-    fit = reported(end, {part.pose.name: part.free for part in alternatives})
+    fit = report(end, {part.pose.name: part.free for part in alternatives})
     return _with_modes(fit, modes), end.found
 
 
@@ -176,11 +173,11 @@ def _with_zeros(
     depths = range(min(problem.levels, ZEROS_FROM), 0, -1)
     result = []
     for part in alternatives:
-        states = [joined(problem, state, [(part.pose, x.descent.state)]) for x in part.others]
-        others = [descended(problem, other, tell, depths) for other in states]
+        states = [join(problem, state, [(part.pose, x.descent.state)]) for x in part.others]
+        others = [descend(problem, other, tell, depths) for other in states]
         pose = part.pose._replace(problem=problem)
         result.append(part._replace(pose=pose, others=others))
-    return problem, path.then(descended(problem, state, tell, depths)), result
+    return problem, path.then(descend(problem, state, tell, depths)), result
 
 
 def _with_modes(fit: JointFit, modes: list[tuple[str, JointFit]]) -> JointFit:

@@ -16,16 +16,16 @@ from .._scene.scene import Scene
 class ViewFit(NamedTuple):
     """One view of a joint fit.
 
-    - `camera`: its camera in its scene's own frame: `silhouette(camera, scene)` is what it shows.
+    - `camera`: its camera in its scene's frame: `silhouette(camera, scene)` draws the view.
     - `iou`, `rms`: of its mask, as in `Fit`.
-    - `off`: how far mask and outline go apart, beside the middle one of all views.
-    - `weight`: how much it counts, at most 1: less where they go farther apart.
-    - `astray`: which share of the outline is far (more than `outlier_px`) from the mask's edge.
-    - `mask_error`: how the mask's outline errs; None where it is exact, and explained.
-    - `scene`: what it shows, the zeros of joints where they were found.
-    - `sigma`: how surely it disagrees with the other views, in standard errors.
-    - `worth`: by how many times the standard errors of its camera's pose would grow without it, in
-      the (geometric) mean; infinite where the other views do not determine that.
+    - `off`: the root mean square difference of mask and outline, relative to the median view's.
+    - `weight`: the weight of the view, at most 1: views with a large `off` count less.
+    - `astray`: the share of the outline that is more than `outlier_px` from the mask's edge.
+    - `mask_error`: the error of the mask's outline; None where the mask is exact and matches.
+    - `scene`: the scene that it shows, with joints' zeros as found.
+    - `sigma`: its disagreement with the other views, in standard errors.
+    - `worth`: the factor by which the standard errors of its camera's pose would grow without it
+      (geometric mean). Infinite where the other views do not determine that pose.
     """
 
     camera: Camera
@@ -41,8 +41,11 @@ class ViewFit(NamedTuple):
 
 
 class JointZeros(NamedTuple):
-    """What is to be added to joints' readings: of each of `names` its value and `unit` ("rad", of a
-    joint that slides "world", of a body that grows "scale"), and their covariance (n, n)."""
+    """Corrections to add to joints' readings, by `names`, and their covariance (n, n).
+
+    `units` are "rad" for a joint that turns, "world" for one that slides, "scale" for a body that
+    grows.
+    """
 
     names: tuple[str, ...]
     values: Float[np.ndarray, "n"]
@@ -74,8 +77,11 @@ class JointZeros(NamedTuple):
 
 
 class ObjectFit(NamedTuple):
-    """An object's `pose` in the world (4, 4); the `covariance` (6, 6) of a small rotation about the
-    object's own axes x, y, z (rad) and of its place (world units)."""
+    """An object's `pose` in the world (4, 4), and its `covariance` (6, 6).
+
+    The covariance is of a small rotation about the object's own axes x, y, z (rad), then of its
+    position (world units).
+    """
 
     pose: Pose
     covariance: Float[np.ndarray, "6 6"]
@@ -87,9 +93,10 @@ class ObjectFit(NamedTuple):
 
 
 class SceneScale(NamedTuple):
-    """By how many times a scene is larger than it was given: the `value`, its standard deviation,
-    and `across` (k,), its covariances with the pose of each unknown camera and object, by name, as
-    these report it."""
+    """The factor by which a scene is larger than its mesh: `value`, standard deviation `std`.
+
+    `across` has its covariances (k,) with the pose of each unknown camera and object, by name.
+    """
 
     value: float
     std: float
@@ -100,17 +107,17 @@ class JointFit(NamedTuple):
     """The result of `fit_joint`.
 
     - `status`: as in `Fit`; trust the answer only where it is "converged".
-    - `cameras`: for each camera's name a `Fit`: its camera's pose is on what carries it (in the
-      world, if nothing does), its covariance is that of all views together.
-    - `objects`: for each unknown object an `ObjectFit`.
-    - `views`: what became of each mask, in their order.
-    - `excess`: by how many times views differ more than their masks' errors say (1: no more): joint
-      angles, meshes or lenses err. The covariances have grown by its square.
-    - `weak`: sentences on what the masks determine badly, and which views disagree.
-    - `modes`: other answers that explain the masks as well.
-    - `steps`: on each level, coarse to fine.
-    - `scales`: for each scale that views name a `SceneScale`.
-    - `joint_zeros`: those of the joints whose zeros were sought, a `JointZeros`; None of none.
+    - `cameras`: a `Fit` for each camera, by name. The pose is relative to the camera's carrier (to
+      the world, if it has none), the covariance is that of all views together.
+    - `objects`: an `ObjectFit` for each unknown object.
+    - `views`: a `ViewFit` for each mask, in their order.
+    - `excess`: the differences of views, relative to what their masks' errors explain (1: no more).
+      Above 1, joint angles, meshes or lenses err, and covariances have grown by its square.
+    - `weak`: sentences on what the masks determine badly, and on views that disagree.
+    - `modes`: other answers that match the masks as well.
+    - `steps`: the number of steps on each level, coarse to fine.
+    - `scales`: a `SceneScale` for each scale that views name.
+    - `joint_zeros`: the corrections of joints' zeros; None where none were sought.
 
     ```python
     joint.status, joint.cameras

@@ -10,9 +10,9 @@ from .._fit.observability import Observability, observability_of
 from .._numerics.arrays import ArrayLike, Input
 from .._solver.priors import Pair
 from .._solver.problem import UNIT_PX
-from .._solver.uncertainty import BLIND, WEAK
+from .._solver.uncertainty import BLIND, WEAK, sentence
 from .door import joint_problem
-from .estimates import of_all
+from .estimates import all_estimates
 from .system import JointProblem
 from .views import MOTIONS, JointView
 
@@ -60,11 +60,11 @@ def joint_observability(
     for part in problem.parts(state, seen, noise):
         tables.append(part.rows @ (np.eye(size)[part.columns] * unit))
     triangle: Any = np.linalg.qr(np.concatenate(tables), mode="r")
-    told = of_all(problem, state, [rows.view for rows in seen])
-    reported = told.by_unknowns @ (np.eye(size)[told.place] * unit)
+    estimates = all_estimates(problem, state, [rows.view for rows in seen])
+    reported = estimates.by_unknowns @ (np.eye(size)[estimates.place] * unit)
     blind = BLIND[problem.dtype]
     weak = _weak(problem, triangle, blind)
-    return observability_of(told.labels, triangle, reported, noise, blind, weak)
+    return observability_of(estimates.labels, triangle, reported, noise, blind, weak)
 
 
 def _blank(view: Any, cameras: Any) -> Any:
@@ -85,12 +85,10 @@ def _weak(problem: JointProblem, triangle: np.ndarray, blind: float) -> Iterator
     shares = values / max(float(values[0]), 1e-300)
     for share, direction in zip(shares[::-1], directions[::-1], strict=True):
         if share <= WEAK:
-            how = f"is nearly free ({share:.1%} as visible as the best-seen move)"
-            how = "is not visible" if share <= blind else how
-            yield f"{_words(problem, direction)} {how}"
+            yield sentence(_words(problem, direction), share, bool(share <= blind))
 
 
-def _words(problem: JointProblem, direction: np.ndarray) -> str:
+def _words(problem: JointProblem, direction: np.ndarray) -> list[str]:
     """The unknowns that move along a direction."""
     sizes: dict[str, float] = {}
     for unknown in problem.unknowns:
@@ -103,4 +101,4 @@ def _words(problem: JointProblem, direction: np.ndarray) -> str:
         else:
             sizes[f"the {unknown.kind} of {unknown.name}"] = float(np.linalg.norm(whole))
     chief = sorted((w for w in sizes if sizes[w] > CHIEF), key=lambda w: -sizes[w])
-    return " against ".join(chief) if chief else "a mixture of all unknowns"
+    return chief or ["a mixture of all unknowns"]

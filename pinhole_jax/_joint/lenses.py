@@ -29,7 +29,7 @@ def with_shared(
     names = (*groups, *as_names(free))
     freed = in_one(check_free(names, next(iter(cameras.values())))) if names else ()
     having = {name: with_lens(camera, freed) for name, camera in cameras.items()}
-    return freed, groups, alike_in_groups(having, groups)
+    return freed, groups, share_means(having, groups)
 
 
 def groups_of(shared: Any, cameras: Mapping[str, Camera]) -> dict[str, list[tuple[str, ...]]]:
@@ -62,7 +62,7 @@ def check_shared(shared: tuple[str, ...], camera: Camera) -> tuple[str, ...]:
     return common
 
 
-def alike_in_groups(
+def share_means(
     cameras: Mapping[str, Camera], groups: Mapping[str, list[tuple[str, ...]]]
 ) -> dict[str, Camera]:
     """The cameras with the mean of each group's shared parameters.

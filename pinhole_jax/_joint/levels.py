@@ -11,8 +11,8 @@ from .._fit.strategy import EXACT
 from .._solver.least_squares import Descent
 from .._solver.looks import Sums
 from .._solver.problem import COARSE_PX, FINE_PX
-from .agreement import Agreement, agreed, priors_weighed
-from .photos import refined
+from .agreement import Agreement, agree, weigh_priors
+from .photos import refine_on_photos
 from .system import JointProblem, LevelEnd
 from .views import State
 
@@ -50,7 +50,7 @@ class Path(NamedTuple):
         return further._replace(way=self.way + further.way[1:], free=self.free)
 
 
-def descended(
+def descend(
     problem: JointProblem,
     state: State,
     tell: Tell,
@@ -88,7 +88,7 @@ class Outcome(NamedTuple):
     notes: tuple[str, ...]
 
 
-def to_the_end(problem: JointProblem, path: Path, tell: Tell, photos: bool = False) -> Outcome:
+def finish(problem: JointProblem, path: Path, tell: Tell, photos: bool = False) -> Outcome:
     """The end of a path to the finest level: where masks are not exact, pixels far from their edges
     lose their weight, and views that err by more than most count less. Then views are refined on
     `photos`, if that is asked for."""
@@ -97,16 +97,16 @@ def to_the_end(problem: JointProblem, path: Path, tell: Tell, photos: bool = Fal
     inexact = [k for k, misfit in enumerate(misfits) if misfit > EXACT]
     px = DRAWN_PX if inexact else FINE_PX[problem.dtype]
     if reach is None or not inexact:
-        path = path.then(descended(problem, path.descent.state, tell, [1], px))
+        path = path.then(descend(problem, path.descent.state, tell, [1], px))
     else:
         for times in REACHES:
             edges = {k: eyes[k].mask.near_edge(times * reach) for k in inexact}
             near = problem.seeing({k: eyes[k].weighed(edges[k], only_finest=True) for k in inexact})
-            near = priors_weighed(near, path.descent) if times == 1 else near
+            near = weigh_priors(near, path.descent) if times == 1 else near
             last = px if times == 1 else COARSE_PX
-            path = path.then(descended(near, path.descent.state, tell, [1], last))
+            path = path.then(descend(near, path.descent.state, tell, [1], last))
 
-    by_masks = agreed(near, path.descent, px)
+    by_masks = agree(near, path.descent, px)
     whole = [eye.look(by_masks.descent.state).sums for eye in eyes]
     counted = [float(seen.view.sums.touched) for seen in by_masks.descent.seen]
     touched = [float(sums.touched) for sums in whole]
@@ -114,7 +114,7 @@ def to_the_end(problem: JointProblem, path: Path, tell: Tell, photos: bool = Fal
     if not photos:
         return Outcome(problem, path, by_masks, whole, astray, ())
 
-    found, way, notes = refined(by_masks, px, tell)
+    found, way, notes = refine_on_photos(by_masks, px, tell)
     if found is not by_masks:
         whole = [eye.look(found.descent.state).sums for eye in eyes]
     path = path._replace(way=(*path.way, *way))

@@ -25,7 +25,7 @@ from .._fit.photo import (
     whole,
 )
 from .._solver.problem import COARSE_PX
-from .agreement import Agreement, agreed
+from .agreement import Agreement, agree
 from .system import JointProblem, LevelEnd
 from .views import State
 
@@ -40,7 +40,7 @@ Photos = dict[int, np.ndarray]
 Outlines = dict[int, Outline]
 
 
-def refined(
+def refine_on_photos(
     before: Agreement, px: float, tell: Callable[[str], None]
 ) -> tuple[Agreement, list[LevelEnd], tuple[str, ...]]:
     """The agreement of photos, with the way to it and a note on each photo; that of masks, where
@@ -64,20 +64,20 @@ def refined(
         counts = np.array([1.0 if k in photos else OF_MASK for k in range(len(eyes))])
         weights = counts * of_masks.weights
         problem = replace(of_masks.seeing(on_photo), weights=weights)
-        problem, now, further = _learned(problem, photos, first, begin, px, tell)
+        problem, now, further = _learn(problem, photos, first, begin, px, tell)
         way += further
-        trusted = _trusted(problem, photos, first, now, least, notes)
+        trusted = _trust(problem, photos, first, now, least, notes)
         if len(trusted) == len(photos):
             alike = replace(problem, weights=counts)
             there = alike.descend(way[-1].state, problem.max_steps, px)
-            found = agreed(problem, there, px, counts)
+            found = agree(problem, there, px, counts)
             way.append(LevelEnd(found.descent.state, 1, found.descent.steps))
             break
         photos = trusted
     return found, way, tuple(f"view {k}: {notes[k]}" for k in sorted(notes))
 
 
-def _trusted(
+def _trust(
     problem: JointProblem,
     photos: Photos,
     first: Outlines,
@@ -99,7 +99,7 @@ def _trusted(
     return {k: photo for k, photo in photos.items() if k not in out}
 
 
-def _learned(
+def _learn(
     problem: JointProblem,
     photos: Photos,
     now: Outlines,

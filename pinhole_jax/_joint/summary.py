@@ -30,12 +30,12 @@ from .agreement import Agreement
 from .estimates import (
     HARDLY,
     Estimates,
+    camera_estimates,
+    concatenate,
     forget,
-    of_camera,
-    of_number,
-    of_object,
-    of_pose,
-    together,
+    number_estimate,
+    object_estimates,
+    pose_estimates,
 )
 from .joint_fit import JointFit, JointZeros, ObjectFit, SceneScale, ViewFit
 from .levels import Outcome
@@ -53,7 +53,7 @@ LOST, MOST_LOST = 0.25, 1 / 3
 COUNTS = 0.1
 
 
-def reported(end: Outcome, free: Mapping[str, Sequence[Free]]) -> JointFit:
+def report(end: Outcome, free: Mapping[str, Sequence[Free]]) -> JointFit:
     """The end of a fit as a user reads it; poses are `free` along these directions."""
     problem, found, state = end.problem, end.found, end.found.descent.state
     views = tuple(_view_fit(end, k) for k in range(len(problem.eyes)))
@@ -62,7 +62,9 @@ def reported(end: Outcome, free: Mapping[str, Sequence[Free]]) -> JointFit:
         for name in problem.cameras
     }
     objects = {
-        name: ObjectFit(state.poses[name], found.covariance_of(of_object(problem, name, state)))
+        name: ObjectFit(
+            state.poses[name], found.covariance_of(object_estimates(problem, name, state))
+        )
         for name in problem.objects()
     }
     scales = _scales(end)
@@ -141,17 +143,17 @@ def _camera_fit(end: Outcome, name: str, views: tuple[ViewFit, ...], free: Seque
     seen_from = lambda state: at_pose(state.lenses[name], state.poses[eye.moving] @ eye.rig)
     camera = on_film(seen_from(state), film)
 
-    told = of_camera(problem, name, state, seen.view)
-    covariance = found.covariance_of(told)
+    estimates = camera_estimates(problem, name, state, seen.view)
+    covariance = found.covariance_of(estimates)
     free = [at(eye.solver, Found(eye.canonical(state), seen.view, ()), f) for f in free]
     if free:
-        _widen(covariance, found, numbers[0], told, free)
+        _widen(covariance, found, numbers[0], estimates, free)
     masks, errors = [end.whole[k] for k in numbers], [views[k].mask_error for k in numbers]
     known = [error for error in errors if error is not None]
     fit = Fit(
         camera=camera,
         status="converged",
-        names=told.labels,
+        names=estimates.labels,
         covariance=covariance,
         std=np.sqrt(np.diag(covariance)),
         rms=_rms(masks),
@@ -159,7 +161,7 @@ def _camera_fit(end: Outcome, name: str, views: tuple[ViewFit, ...], free: Seque
         steps=end.path.steps,
         weak=(),
         history=_history(end, numbers[0], seen_from, film),
-        independent_covariance=found.independent_of(told),
+        independent_covariance=found.independent_of(estimates),
         mask_error=max(known, key=lambda e: e.px) if known else None,
     )
     status, weak = _status(end, numbers, views, fit)
@@ -171,12 +173,12 @@ def _camera_fit(end: Outcome, name: str, views: tuple[ViewFit, ...], free: Seque
 
 
 def _widen(
-    covariance: np.ndarray, found: Agreement, k: int, told: Estimates, free: Sequence[Free]
+    covariance: np.ndarray, found: Agreement, k: int, estimates: Estimates, free: Sequence[Free]
 ) -> None:
     """Let the covariance (p, p) of a view's camera hold what is free about it."""
     back = np.linalg.pinv(found.descent.seen[k].moves)
-    rows = np.searchsorted(found.problem.columns(k), told.place)
-    to_reported = told.by_unknowns @ back[rows]
+    rows = np.searchsorted(found.problem.columns(k), estimates.place)
+    to_reported = estimates.by_unknowns @ back[rows]
     covariance += widened(to_reported, free, 0.0)
     lost = [to_reported @ f.move for f in free if np.isinf(f.ahead)]
     if lost:
@@ -207,10 +209,10 @@ def _status(
     wrong = [k for k in numbers if not _is_explained(found, k)]
     if wrong:
         which = ", ".join(map(str, wrong))
-        return "misfit", (f"the masks of views {which} are not explained as exact ones would be",)
+        return "misfit", (f"views {which}: model and mask do not match as exact masks should",)
     lost = [k for k in numbers if views[k].astray > LOST]
     if len(lost) > MOST_LOST * len(numbers):
-        return "misfit", (f"{len(lost)} of {len(numbers)} masks show something else",)
+        return "misfit", (f"{len(lost)} of {len(numbers)} masks do not show the model",)
     far = float(np.median([views[k].astray for k in numbers]))
     # (What several masks show alone was compared with all places that it may be seen from.)
     if far > ASTRAY and not _is_compared(end, numbers[0]):
@@ -221,7 +223,7 @@ def _status(
     turn, about = widest_turn(fit.covariance, fit.names)
     if turn > UNCERTAIN:
         axis, degrees = in_words(about @ axes_of(fit.camera)), np.rad2deg(turn)
-        words = f"the turn about the axis {axis} is known to {degrees:.0f} degrees (one sigma)"
+        words = f"rotation about the axis {axis} is uncertain by {degrees:.0f} degrees (1 sigma)"
         return "uncertain", (words,)
     return "converged", ()
 
@@ -241,17 +243,17 @@ def _is_explained(found: Agreement, k: int) -> bool:
 
 def _scales(end: Outcome) -> dict[str, SceneScale]:
     problem, found, state = end.problem, end.found, end.found.descent.state
-    poses = {name: of_object(problem, name, state) for name in problem.objects()}
-    poses |= {name: of_pose(problem, name, state) for name in problem.cameras}
+    poses = {name: object_estimates(problem, name, state) for name in problem.objects()}
+    poses |= {name: pose_estimates(problem, name, state) for name in problem.cameras}
     result = {}
     for name in problem.named(SCALE):
-        told = of_number(problem, name, SCALE, state)
+        estimates = number_estimate(problem, name, SCALE, state)
         across = {
-            owner: found.covariance_of(together([pose, told]))[:-1, -1]
+            owner: found.covariance_of(concatenate([pose, estimates]))[:-1, -1]
             for owner, pose in poses.items()
             if pose.labels
         }
-        std = float(found.covariance_of(told)[0, 0] ** 0.5)
+        std = float(found.covariance_of(estimates)[0, 0] ** 0.5)
         result[name] = SceneScale(state.scales[name], std, across)
     return result
 
@@ -263,16 +265,16 @@ def _zeros(found: Agreement) -> JointZeros | None:
     units = {}
     for posture in (eye.shot.posture for eye in problem.eyes):
         units |= {} if posture is None else dict(zip(posture.joints, posture.units, strict=True))
-    told = together([of_number(problem, name, ZERO, state) for name in names])
+    estimates = concatenate([number_estimate(problem, name, ZERO, state) for name in names])
     values = np.array([state.zeros[name] for name in names])
-    covariance = found.covariance(told.place)
+    covariance = found.covariance(estimates.place)
     return JointZeros(names, values, tuple(units[name] for name in names), covariance)
 
 
 def _weak_scales(scales: dict[str, SceneScale]) -> list[str]:
     return [
-        f"the scale of {name!r} and how far it is away are one: larger and farther it looks the"
-        " same; a camera more at a known place, a known distance or scale (`prior`) would tell"
+        f"the scale of {name!r} and its distance cannot be told apart: larger and farther away, it"
+        " looks the same; add a camera at a known place, or give a `prior` on scale or distance"
         for name, found in scales.items()
         if np.isinf(found.std)
     ]
@@ -283,19 +285,19 @@ def _disagreement(found: Agreement, views: tuple[ViewFit, ...]) -> list[str]:
     result = []
     if found.excess > TELLING:
         result.append(
-            f"the views differ by {found.excess:.1f} times what their masks' errors say: joint"
-            " angles, meshes, transforms or the lens are off"
+            f"views differ {found.excess:.1f} times as much as their masks' errors explain: check"
+            " joint angles, meshes, transforms and the lens"
         )
     for k, view in enumerate(views):
         if len(views) > 2 and view.off > OFF:
             result.append(
-                f"view {k}: mask and outline go {view.off:.1f} times as far apart as in most"
-                f" views: it counts {view.weight:.2g}"
+                f"view {k}: mask and outline are {view.off:.1f} times as far apart as in most"
+                f" views; its weight is {view.weight:.2g}"
             )
     for k, view in enumerate(views):
         if view.astray > LOST:
             result.append(
-                f"view {k}: {view.astray:.0%} of the outline is far from the mask's edge: there"
-                " its mask, joint angles or transforms are wrong"
+                f"view {k}: {view.astray:.0%} of the outline is far from the mask's edge: check"
+                " its mask, joint angles and transforms"
             )
     return result

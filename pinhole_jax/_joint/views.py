@@ -39,21 +39,22 @@ TO_B = np.diag([1.0, -1.0, 1.0])
 
 
 class JointView(NamedTuple):
-    """One mask of a joint fit, what it shows, and what is known of where camera and scene are.
+    """One mask of a joint fit, its scene, and the transforms that are known.
 
-    - `scene`: what the mask shows, in a frame of its own.
+    - `scene`: the scene that the mask shows, in a frame of its own.
     - `target`: the mask (H, W), as in `fit_camera`; `weight` (H, W) says which pixels count.
-    - `camera`: the name of the camera that saw it.
-    - `mount`: the pose in the world (4, 4) of the camera's carrier, as a robot's link; None:
-      the camera's pose is one in the world.
-    - `object`: the name of an unknown pose in the world that the scene has a place in; None: its
-      place is one in the world.
-    - `placed`: the scene's pose there (4, 4); None: it is in place.
-    - `posture`: what the scene is where its joints' zeros are elsewhere: `Robot.posture(angles)`.
-      None: it has no joints, or their zeros are not sought.
-    - `photo`: what the mask was made of (H, W, 3), as in `fit_camera`: the fit is refined on it.
-    - `scale`: the name of an unknown number by which the scene is larger than it is given, about
-      its frame's origin; views that give the same name have it in common. None: it is as given.
+    - `camera`: the name of the camera that took it.
+    - `mount`: the pose (4, 4) in the world of the camera's carrier, such as a robot's link. None:
+      the camera's own pose is in the world.
+    - `object`: the name of an unknown object that the scene is part of. None: the scene's pose is
+      in the world.
+    - `placed`: the scene's pose (4, 4) in the object's frame (or the world's). None: identity.
+    - `posture`: the scene as a function of its joints' zeros: `Robot.posture(angles)`. None: it has
+      no joints, or their zeros are not sought.
+    - `photo`: the photo (H, W, 3) that the mask was made from, as in `fit_camera`: the fit is
+      refined on it.
+    - `scale`: the name of an unknown factor of the scene's size, about its frame's origin. Views
+      with the same name share it. None: the size is as given.
 
     ```python
     pj.JointView(scene, mask, camera="left", mount=np.eye(4))
@@ -295,7 +296,7 @@ def stepped(state: State, unknowns: list[Unknown], x: np.ndarray, eyes: Sequence
             zeros[unknown.name] = zeros.get(unknown.name, 0.0) + float(part[0])
         else:
             name = next(name for name in unknown.cameras if name in by_camera)
-            moved = _lens_moved(by_camera[name], lenses[name], unknown.kind, part)
+            moved = _move_lens(by_camera[name], lenses[name], unknown.kind, part)
             for name in unknown.cameras:
                 lenses[name] = with_parameter(lenses[name], unknown.kind, moved)
     return State(poses, lenses, scales, zeros)
@@ -308,7 +309,7 @@ def with_parameter(camera: Camera, kind: str, other: Camera) -> Camera:
     return camera
 
 
-def _lens_moved(eye: Eye, camera: Camera, kind: str, part: np.ndarray) -> Camera:
+def _move_lens(eye: Eye, camera: Camera, kind: str, part: np.ndarray) -> Camera:
     """A canonical camera with a parameter of its lens moved."""
     solver = eye.solver
     start, place = solver.move(camera, solver.finest), _places(solver.freed, kind)

@@ -36,15 +36,14 @@ class Options(NamedTuple):
 class PointDescent(NamedTuple):
     """Views where the squares of all are least.
 
-    - `own` (n,): which of a view's moves are its own, not shared.
     - `steps`: how many it took.
     - `others`: other places of each view that are as good, what is shared held.
     - `way`: the views at the start, and where each descent ended, with its steps.
     - `noise`: what the points err by; `limits`: by how much each view's may (rms, px).
     """
 
+    problem: PointProblem
     views: list[PointView]
-    own: np.ndarray
     steps: int
     others: list[list[PointView]]
     way: list[tuple[list[PointView], int]]
@@ -52,40 +51,42 @@ class PointDescent(NamedTuple):
     limits: list[float]
 
 
-def descended(views: list[PointView], own: np.ndarray, asked: Options, tell: Tell) -> PointDescent:
+def descend(
+    problem: PointProblem, views: list[PointView], asked: Options, tell: Tell
+) -> PointDescent:
     """Descend with all views together. Outliers lose their weight on the way. Views that other
     places fit better, or as well and nearer to the start, go on from there."""
     given, way = [view.weight for view in views], [(views, 0)]
     reach = asked.reach
     for reach_px in [None] if reach is None else [times * reach for times in REACHES]:
-        views = views if reach_px is None else _near(views, given, reach_px)
-        views, steps = _together(views, own, asked, tell)
+        views = views if reach_px is None else _drop_outliers(views, given, reach_px)
+        views, steps = _descend_together(problem, views, asked, tell)
         way.append((views, steps))
     jumps = 0
     while True:
-        noise = noise_of(views, own, asked.variance)
+        noise = noise_of(problem, views, asked.variance)
         limits = [rms_limit(view, asked.variance, reach) for view in views]
         each = zip(views, limits, strict=True)
-        places = [rivals(view, own, noise, limit) for view, limit in each]
+        places = [rivals(problem, view, noise, limit) for view, limit in each]
         first = [best for best, *_ in places]
         if jumps == JUMPS or all(a is b for a, b in zip(first, views, strict=True)):
             break
         jumps += 1
-        views, steps = _together(first, own, asked, tell)
+        views, steps = _descend_together(problem, first, asked, tell)
         way.append((views, steps))
     pairs = zip(places, views, strict=True)
     others = [[place for place in some if place is not view] for some, view in pairs]
     steps = sum(steps for _, steps in way)
-    return PointDescent(views, own, steps, others, way, noise, limits)
+    return PointDescent(problem, views, steps, others, way, noise, limits)
 
 
-def _together(
-    views: list[PointView], own: np.ndarray, asked: Options, tell: Tell
+def _descend_together(
+    problem: PointProblem, views: list[PointView], asked: Options, tell: Tell
 ) -> tuple[list[PointView], int]:
     """Views where the squares of all are least, and the number of steps."""
-    steps, problem = 0, PointProblem.of(views, own)
+    steps = 0
     for k in range(ROUNDS if views[0].prior is not None else 1):
-        views = _prior_weighed(views, own, asked.variance, k)
+        views = _weigh_prior(problem, views, asked.variance, k)
         found = levenberg_marquardt(problem, views, asked.most, FINE_PX[problem.dtype])
         views, steps = found.state, steps + found.steps
     rms = (squares_of(views) / sum(float(np.sum(view.weight)) for view in views)) ** 0.5
@@ -93,7 +94,9 @@ def _together(
     return views, steps
 
 
-def _near(views: list[PointView], given: list[np.ndarray], reach: float) -> list[PointView]:
+def _drop_outliers(
+    views: list[PointView], given: list[np.ndarray], reach: float
+) -> list[PointView]:
     """Views in which points count that are no farther than this from where they are seen
     (px), of their given weights; half of them in any case."""
     result = []
@@ -104,8 +107,8 @@ def _near(views: list[PointView], given: list[np.ndarray], reach: float) -> list
     return result
 
 
-def _prior_weighed(
-    views: list[PointView], own: np.ndarray, given: float | None, turn: int
+def _weigh_prior(
+    problem: PointProblem, views: list[PointView], given: float | None, turn: int
 ) -> list[PointView]:
     """The views with their priors weighed by what the points of all err by.
 
@@ -115,9 +118,9 @@ def _prior_weighed(
     prior = views[0].prior
     if prior is None:
         return views
-    left, rows = left_over(views, own), prior_rows(views, own)
+    left, rows = left_over(problem, views), prior_rows(problem, views)
     if given is not None or left > 0:
-        px = noise_of(views, own, given).variance ** 0.5
+        px = noise_of(problem, views, given).variance ** 0.5
     elif left + rows > 0 and turn == 0:
         px = HOLDS * views[0].film.H * float(np.max(prior.std))
     elif left + rows > 0 and turn == 1:

@@ -29,10 +29,10 @@ from .._solver.moves import on_film
 from .._solver.parameters import check_free, components, labels_of
 from .._solver.priors import Pair, bounds_of, prior_of
 from .._solver.uncertainty import BLIND, covariance, in_words, weak_directions
-from .descent import Options, PointDescent, descended
+from .descent import Options, PointDescent, descend
 from .noise import FEW, Noise, coordinates
 from .reprojection import Given, PointProblem, PointsSeen, PointView
-from .starts import begun
+from .starts import begin
 
 #: What several views share by default: the intrinsics of one physical camera.
 INTRINSICS = ("phi", "principal_point", "distortion")
@@ -111,21 +111,20 @@ def fit_points(
     max_steps: int = 100,
     progress: bool | Callable[[str], None] | None = None,
 ) -> PointFit | tuple[PointFit, ...]:
-    """The camera that sees points where they were seen: a `PointFit`, or one for each view.
+    """The camera whose projections of points match their images: a `PointFit`, or one a view.
 
     - `points3d`: (N, 3), world units; or (V, N, 3) if each of V views has its own.
     - `points2d`: (N, 2), or (V, N, 2) for V views: film coordinates (px, origin at the film's
       bottom-left corner, y up; of OpenCV's (u, v) they are (u + 1/2, H - v - 1/2)). NaN: not seen.
-    - `camera`: resolution, and where to start; one for all views, or one for each. Its pose is used
-      only where it is nearer than what a plane homography (4 points of a plane), a direct linear
-      transformation (6 points) or three of few points say, and among equals: the nearest to it
-      comes first. The focal length may be off by some tens of percent.
-    - `free`: what each view has of its own; `shared`: what all have in common. Names are those of
+    - `camera`: resolution and start, one for all views or one for each. The start's pose is used
+      only if it is better than direct solutions: a homography (4 points of a plane), a direct
+      linear transformation (6 points), or three of few points. Among equals the nearest to it comes
+      first. Its focal length may be off by some tens of percent.
+    - `free`: parameters of each view; `shared`: parameters that all views share. Names are those of
       `fit_camera`. None: with several views phi, principal_point and distortion, else nothing.
-    - `weights`: (N,), or (V, N): how much each point counts, 0 or more. 1 / variance, up to a
-      factor.
-    - `outlier_px`: points that end farther than this from where they are seen do not count, as long
-      as half of a view's points do; some five times what the others err by. None: all count.
+    - `weights`: (N,) or (V, N), 0 or more: 1 / variance of each point, up to a factor.
+    - `outlier_px`: points whose residual ends above this do not count, as long as half of a view's
+      points do; some five times the others' error is right. None: all count.
     - `noise_px`: the standard error of a coordinate, or of one whose weight is 1. None: the
       residuals show it.
     - `prior`, `bounds`: as in `fit_camera`; once for shared parameters, else for each view.
@@ -165,16 +164,18 @@ def fit_points(
         shared_names = several if shared is None else shared
         freed, common, cameras = with_shared(cameras, free, shared_names)
         check_free(freed, cameras["0"])
-        own = np.array([name not in common for name in freed for _ in components((name,))])
         views, scale = [], _scale(given)
         for one, c in zip(given, cameras.values(), strict=True):
             view = PointView.from_points(c, one._replace(weight=one.weight / scale), freed)
             known = prior_of(prior, c, freed, tuple(common), len(given))
             view = view._replace(bounds=bounds_of(bounds, c, freed), prior=known)
-            views.append(begun(view, outlier_px is not None))
+            views.append(begin(view, outlier_px is not None))
         variance = None if noise_px is None else noise_px**2 / scale
+        alone = tuple(name for name in freed if name not in common)
+        problem = PointProblem.from_views(views, alone)
+        options = Options(outlier_px, variance, max_steps)
         with shown(progress, "fitting points") as tell:
-            found = descended(views, own, Options(outlier_px, variance, max_steps), tell or say)
+            found = descend(problem, views, options, tell or say)
         return _reports(found, given), found
 
     inputs = points3d, points2d, weights
@@ -205,9 +206,8 @@ def _velocity(
 
     units = 1.0, 1.0, _scale(given)
     each = zip(*map(in_each, velocity, given[0], units), strict=True)
-    problem = PointProblem.of(found.views, found.own)
     pairs = enumerate(zip(found.views, each, strict=True))
-    slopes = [view.slope(Given(*moving), problem.columns(k)) for k, (view, moving) in pairs]
+    slopes = [view.slope(Given(*moving), found.problem.columns(k)) for k, (view, moving) in pairs]
     steps = zip(found.views, steps_of(slopes), strict=True)
     return tuple(view.camera_velocity(step) for view, step in steps)
 
@@ -274,13 +274,13 @@ def _weights(weights: ArrayLike | None, V: int, N: int) -> np.ndarray:
 
 def _reports(found: PointDescent, given: list[Given]) -> tuple[PointFit, ...]:
     """The fits of all views, and of their other places."""
-    views, own = found.views, found.own
-    problem, seen = PointProblem.of(views, own), [view.look() for view in views]
+    problem, views, own = found.problem, found.views, found.problem.own
+    seen = problem.look(views)
     parts = problem.parts(views, seen, 1.0)
     solved = solve(parts, problem.size, np.zeros(problem.size))
     slope = np.sum([part.left @ part.rows[:, ~own] for part in parts], axis=0)
     whole = sum(each.squares for each in seen), 2.0 * sum(view.number for view in views)
-    spare = () if found.noise.freedom > 0 else (_none_left_over(views, own),)
+    spare = () if found.noise.freedom > 0 else (_none_left_over(problem, views),)
 
     fits = []
     for k, view in enumerate(views):
@@ -288,7 +288,9 @@ def _reports(found: PointDescent, given: list[Given]) -> tuple[PointFit, ...]:
         known[:, ~own] = known_by_others(solved, parts[k], ~own)
         places = [(view, seen[k]), *((other, other.look()) for other in found.others[k])]
         fit, *modes = (
-            _report(place, _beside(look, known, slope, own), found.noise, found.limits[k], *whole)
+            _report(
+                place, _join_others(look, known, slope, own), found.noise, found.limits[k], *whole
+            )
             for place, look in places
         )
         words = (*_left_out(view.number, int(np.sum(given[k].weight > 0))), *spare)
@@ -301,7 +303,9 @@ def _reports(found: PointDescent, given: list[Given]) -> tuple[PointFit, ...]:
     return tuple(fits)
 
 
-def _beside(seen: PointsSeen, known: np.ndarray, slope: np.ndarray, own: np.ndarray) -> PointsSeen:
+def _join_others(
+    seen: PointsSeen, known: np.ndarray, slope: np.ndarray, own: np.ndarray
+) -> PointsSeen:
     """What is seen, with what other views know (., n) of moves as such, and with the `slope` of all
     views' squares by those that are shared."""
     scale = np.asarray(seen.scale, float)
@@ -313,9 +317,9 @@ def _beside(seen: PointsSeen, known: np.ndarray, slope: np.ndarray, own: np.ndar
     return seen._replace(triangle=whole, along=np.linalg.lstsq(whole.T, gradient, rcond=None)[0])
 
 
-def _none_left_over(views: list[PointView], own: np.ndarray) -> str:
+def _none_left_over(problem: PointProblem, views: list[PointView]) -> str:
     """A sentence: nothing shows how far points err."""
-    some, unknowns = coordinates(views), PointProblem.of(views, own).size
+    some, unknowns = coordinates(views), problem.size
     repeated = " (repeated points count once)" if some < 2 * sum(v.number for v in views) else ""
     return (
         f"{some} coordinates{repeated} for {unknowns} unknowns: none is left over to show how far"
@@ -352,7 +356,7 @@ def _report(
     known = np.isfinite(noise.variance)
     cov = noise.variance * cov if known else np.where(np.eye(len(cov)) > 0, np.inf, np.nan)
     rms = float(np.sqrt(float(seen.sum_squares) / np.sum(view.weight)))
-    status, words = _judged(cov, labels, camera, noise)
+    status, words = _judge(cov, labels, camera, noise)
     if blind:
         status = "rank_deficient"
     if rms > limit:
@@ -366,7 +370,7 @@ def _report(
     return PointFit(camera, status, labels, cov, std, rms, 0, (*weak, *ended, *words))
 
 
-def _judged(
+def _judge(
     cov: np.ndarray, labels: tuple[str, ...], camera: Camera, noise: Noise
 ) -> tuple[str, tuple[str, ...]]:
     """A status by the error bars alone, and words about them."""

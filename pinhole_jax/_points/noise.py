@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .._joint.agreement import NORMAL_95
-from .._solver.parameters import components, labels_of
+from .._solver.parameters import labels_of
 from .._solver.problem import FINE_PX
 from .reprojection import PointProblem, PointView
 
@@ -70,24 +70,24 @@ def _widening(freedom: float) -> float:
     return float(t.ppf(0.975, freedom)) / NORMAL_95 if 0 < freedom <= FEW else 1.0
 
 
-def noise_of(views: Sequence[PointView], own: np.ndarray, given: float | None) -> Noise:
+def noise_of(problem: PointProblem, views: Sequence[PointView], given: float | None) -> Noise:
     """The error of points: the `given` variance, or what residuals show. Where coordinates
     do not suffice, priors count as well, as far as they hold what is free (`prior_weighed`)."""
     if given is not None:
         return Noise(given, np.inf)
-    left = left_over(views, own)
+    left = left_over(problem, views)
     if left > 0:
         count = 2 * sum(int(np.sum(_shows(view))) for view in views)
-        return Noise(squares_of(views) / (count - PointProblem.of(views, own).size), left)
-    prior, left = views[0].prior, left + prior_rows(views, own)
+        return Noise(squares_of(views) / (count - problem.size), left)
+    prior, left = views[0].prior, left + prior_rows(problem, views)
     if prior is None or left <= 0:
         return Noise(np.inf, 0)
     return Noise((float(prior.noise) / _widening(left)) ** 2, left)
 
 
-def left_over(views: Sequence[PointView], own: np.ndarray) -> int:
+def left_over(problem: PointProblem, views: Sequence[PointView]) -> int:
     """The number of coordinates less that of unknowns; repeated points count once."""
-    return coordinates(views) - PointProblem.of(views, own).size
+    return coordinates(views) - problem.size
 
 
 def coordinates(views: Sequence[PointView]) -> int:
@@ -100,20 +100,11 @@ def squares_of(views: Sequence[PointView]) -> float:
     return sum(float(view.look().sum_squares) for view in views)
 
 
-def prior_rows(views: Sequence[PointView], own: np.ndarray) -> int:
+def prior_rows(problem: PointProblem, views: Sequence[PointView]) -> int:
     """The number of priors: one for a shared parameter, else one for each view."""
-    prior = views[0].prior
-    if prior is None:
-        return 0
-    its_own = labels_of(own_of(views[0].freed, own))
-    return sum(len(views) if label in its_own else 1 for label in prior.labels)
-
-
-def own_of(freed: tuple[str, ...], own: np.ndarray) -> tuple[str, ...]:
-    """Free parameters that each view has for itself."""
-    moves = components(freed)
-    held = {move for move, is_own in zip(moves, own, strict=True) if not is_own}
-    return tuple(name for name in freed if held.isdisjoint(components((name,))))
+    labels = () if (prior := views[0].prior) is None else prior.labels
+    own = labels_of(problem.alone)
+    return sum(len(views) if label in own else 1 for label in labels)
 
 
 def exact_squares(view: PointView) -> float:

@@ -21,6 +21,7 @@ from .._numerics.thin_qr import triangle_and_rhs
 from .._scene.scene import Ball, ball_about
 from .._solver.least_squares import Rows
 from .._solver.moves import Bounds, Move, camera_velocity, canonical, moved, reported
+from .._solver.parameters import components
 from .._solver.priors import Prior
 from .._solver.problem import move_about
 
@@ -167,18 +168,25 @@ class _Data(NamedTuple):
 
 
 class PointProblem(NamedTuple):
-    """Views of points as `LeastSquares`, whose state are the views: which of a view's moves are its
-    own, the number of unknowns, and the float type. Shared ones come last."""
+    """Views of points as `LeastSquares`, whose state are the views.
 
+    - `alone`: the names of what is each view's own; the rest, which all share, comes last.
+    - `own` (n,): which of a view's moves these are.
+    - `size`: the number of unknowns; `dtype`: the float type.
+    """
+
+    alone: tuple[str, ...]
     own: np.ndarray
     size: int
     dtype: np.dtype
 
     @classmethod
-    def of(cls, views: Sequence[PointView], own: np.ndarray) -> "PointProblem":
-        """The problem in which `own` (n,) of each view's moves are its own."""
+    def from_views(cls, views: Sequence[PointView], alone: tuple[str, ...]) -> "PointProblem":
+        """The problem in which each view has these parameters alone."""
+        names = [name for name in views[0].freed for _ in components((name,))]
+        own = np.isin(names, alone)
         size = len(views) * int(own.sum()) + int((~own).sum())
-        return cls(own, size, np.dtype(views[0].film.e.dtype))
+        return cls(alone, own, size, np.dtype(views[0].film.e.dtype))
 
     def look(self, state: list[PointView]) -> list[PointsSeen]:
         """The views' least squares."""

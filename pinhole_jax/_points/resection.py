@@ -10,13 +10,13 @@ from jaxtyping import Float
 from .._camera.axes import axes_of
 from .._camera.bent import straightened
 from .._camera.camera import Camera, focal_px, principal_point
-from .three_points import moved_onto, poses_of_three, triangles
+from .three_points import align, poses_of_three, triangles
 
 #: Points whose spread across a plane is below this share of that within are points of the plane.
 FLAT = 1e-3
 
 
-def resected(
+def resect(
     camera: Camera, points: Float[np.ndarray, "N 3"], seen_at: Float[np.ndarray, "N 2"]
 ) -> Camera | None:
     """The camera posed so that it sees points (world) where they are seen (px), or None.
@@ -56,7 +56,7 @@ def resected(
     return _posed(camera, rotation, translation)
 
 
-def resected_by_three(
+def resect_three(
     camera: Camera, points: Float[np.ndarray, "N 3"], seen_at: Float[np.ndarray, "N 2"], most: int
 ) -> list[Camera]:
     """The camera in all poses that see three of the points where they are seen, of this many
@@ -66,18 +66,18 @@ def resected_by_three(
     return [_posed(camera, *pose) for pose in poses_of_three(points[threes], rays[threes])]
 
 
-def turned(
+def turn(
     camera: Camera, points: Float[np.ndarray, "N 3"], seen_at: Float[np.ndarray, "N 2"]
 ) -> Camera:
     """The camera turned about its eye so that it sees points where they are seen (Kabsch
     1976)."""
     eye = np.asarray(camera.e, float)
     towards = (points - eye) / np.linalg.norm(points - eye, axis=1, keepdims=True)
-    rotation, _ = moved_onto(towards, _rays(camera, seen_at), about_middle=False)
+    rotation, _ = align(towards, _rays(camera, seen_at), about_middle=False)
     return _posed(camera, rotation, -rotation @ eye)
 
 
-def shifted(
+def shift(
     camera: Camera, points: Float[np.ndarray, "N 3"], seen_at: Float[np.ndarray, "N 2"]
 ) -> Camera:
     """The camera shifted, its axes as they are, so that it sees points where they are seen:

@@ -12,9 +12,9 @@ from .._solver.parameters import labels_of
 from .._solver.priors import Prior
 from .._solver.problem import FINE_PX
 from .._solver.uncertainty import BLIND
-from .noise import Noise, exact_squares, own_of
+from .noise import Noise, exact_squares
 from .reprojection import PointProblem, PointView
-from .starts import apart, by_three, is_few, placed, seen_from_behind
+from .starts import apart, is_few, placed, reversed_depths, three_point_starts
 
 #: This many descents from other places at most, of this many steps at most.
 DESCENTS, STEPS = 4, 50
@@ -30,7 +30,7 @@ class _Rival(NamedTuple):
     ended: bool
 
 
-def rivals(view: PointView, own: np.ndarray, noise: Noise, limit: float) -> list[PointView]:
+def rivals(problem: PointProblem, view: PointView, noise: Noise, limit: float) -> list[PointView]:
     """The place that sees a view's points best, and others that are as good by chance:
     those that are equal by their turn from the start, then by their squares.
 
@@ -41,12 +41,12 @@ def rivals(view: PointView, own: np.ndarray, noise: Noise, limit: float) -> list
     explained = is_somewhere and _rms(view) <= limit
     begin = view if is_somewhere else placed(view, view.film)
     starts = _starts(begin, explained) if "pose" in view.freed else []
-    if not starts or (explained and _is_blind(_alone(view, own))):
+    if not starts or (explained and _is_blind(_alone(view, problem.alone))):
         return [view]
     near = APART if noise.freedom > 0 else APART_OF_THREE
     places = [here] if is_somewhere else []
     for start in starts if is_somewhere else [begin, *starts]:
-        there = _descended(start, own)
+        there = _end(start, problem.alone)
         if not np.isfinite(there.squares):
             continue
         same = [k for k, p in enumerate(places) if angle(p.view.camera, there.view.camera) <= near]
@@ -54,10 +54,10 @@ def rivals(view: PointView, own: np.ndarray, noise: Noise, limit: float) -> list
             places.append(there)
         elif there.squares + exact_squares(view) < places[same[0]].squares / 2:
             places[same[0]] = there
-    return _ranked(places, noise, view) if places else [view]
+    return _rank(places, noise, view) if places else [view]
 
 
-def _ranked(places: list[_Rival], noise: Noise, view: PointView) -> list[PointView]:
+def _rank(places: list[_Rival], noise: Noise, view: PointView) -> list[PointView]:
     """The best places and those that are as good by chance."""
     least = min(place.squares for place in places)
     equal, likely = least * (1 + EQUAL) + exact_squares(view), least + noise.by_chance
@@ -87,10 +87,10 @@ def _squares(view: PointView) -> float:
 def _starts(view: PointView, explained: bool) -> list[PointView]:
     """Other places to descend from: the reversed depths of a plane; and of few points, or
     where they are not explained, the user's pose and those that meet three points."""
-    reverse = seen_from_behind(view)
+    reverse = reversed_depths(view)
     result = [] if reverse is None else [reverse]
     if is_few(view) or not explained:
-        result += [placed(view, view.film), *by_three(view)]
+        result += [placed(view, view.film), *three_point_starts(view)]
     if view.number == 3:
         result.sort(key=_squares)
     # (Those that are close to this view lead to it; those of three points are where they end.)
@@ -104,19 +104,18 @@ def _is_blind(view: PointView) -> bool:
     return not values[-1] > BLIND[np.dtype(view.film.e.dtype)] * values[0]
 
 
-def _descended(start: PointView, own: np.ndarray) -> _Rival:
+def _end(start: PointView, alone: tuple[str, ...]) -> _Rival:
     """The end of a view's own descent; shared parameters are held."""
-    alone = _alone(start, own)
-    problem = PointProblem.of([alone], np.ones(int(own.sum()), bool))
-    found = levenberg_marquardt(problem, [alone], STEPS, FINE_PX[problem.dtype])
+    view = _alone(start, alone)
+    problem = PointProblem.from_views([view], alone)
+    found = levenberg_marquardt(problem, [view], STEPS, FINE_PX[problem.dtype])
     there = start._replace(camera=found.state[0].camera)
     return _Rival(there, _squares(there), found.ended)
 
 
-def _alone(view: PointView, own: np.ndarray) -> PointView:
+def _alone(view: PointView, alone: tuple[str, ...]) -> PointView:
     """The view in which what is shared is held."""
-    freed = own_of(view.freed, own)
-    return view._replace(freed=freed, prior=_of_labels(view.prior, labels_of(freed)))
+    return view._replace(freed=alone, prior=_of_labels(view.prior, labels_of(alone)))
 
 
 def _of_labels(prior: Prior | None, labels: tuple[str, ...]) -> Prior | None:

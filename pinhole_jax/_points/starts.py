@@ -8,7 +8,7 @@ from .._camera.camera import Camera
 from .._solver.moves import canonical, on_film
 from .._solver.parameters import components
 from .reprojection import PointView
-from .resection import plane_of, resected, resected_by_three, shifted, turned
+from .resection import plane_of, resect, resect_three, shift, turn
 
 #: Draws of few points. Where 40 % are outliers 1 draw of 6 points in 21 has none, so 95 % of
 #: searches meet one; with draws of 4, or fewer outliers, all do.
@@ -19,15 +19,15 @@ FEW, FEW_OF_PLANE = 6, 4
 #: of this many triangles at most.
 SCANT, TRIANGLES = 8, 6
 #: What finds a part of the pose, the rest being known.
-PARTS = {"position": shifted, "orientation": turned}
+PARTS = {"position": shift, "orientation": turn}
 
 
-def begun(view: PointView, robust: bool) -> PointView:
+def begin(view: PointView, robust: bool) -> PointView:
     """The view from its own camera, or from where direct solutions say, what is nearer; if
     `robust` by half of the points (least median of squares, Rousseeuw 1984), else by all."""
-    view = inside(view)
+    view = within_bounds(view)
     cameras = _direct(view, robust)
-    places = [view, *(inside(view._replace(camera=canonical(c))) for c in cameras)]
+    places = [view, *(within_bounds(view._replace(camera=canonical(c))) for c in cameras)]
     return min(places, key=lambda place: _distance(place, robust))
 
 
@@ -48,9 +48,9 @@ def _direct(view: PointView, robust: bool) -> list[Camera]:
         few = FEW if plane_of(view.points[counts]) is None else FEW_OF_PLANE
         random = np.random.default_rng(0)
         draws += [random.permutation(counts)[:few] for _ in range(DRAWS)]
-    found = [resected(view.film, view.points[some], view.seen_at[some]) for some in draws]
+    found = [resect(view.film, view.points[some], view.seen_at[some]) for some in draws]
     if is_few(view):
-        found += _by_three(view, view.film)
+        found += _three_point_cameras(view, view.film)
     return [camera for camera in found if camera is not None]
 
 
@@ -59,21 +59,21 @@ def is_few(view: PointView) -> bool:
     return len(view.different(view.weight > 0, and_seen=False)) <= SCANT
 
 
-def by_three(view: PointView) -> list[PointView]:
+def three_point_starts(view: PointView) -> list[PointView]:
     """The view from where three of its points are met, its lens as it is, the best first."""
     film = on_film(view.camera, view.film)
-    places = [placed(view, camera) for camera in _by_three(view, film)]
+    places = [placed(view, camera) for camera in _three_point_cameras(view, film)]
     return sorted(places, key=lambda place: _distance(place, False))
 
 
-def _by_three(view: PointView, film: Camera) -> list[Camera]:
+def _three_point_cameras(view: PointView, film: Camera) -> list[Camera]:
     """A camera in all poses that three of the points have, of large triangles; of many
     points, some that are spread evenly among them."""
     counts = view.different(view.weight > 0, and_seen=False)
     some = counts[np.unique(np.linspace(0, len(counts) - 1, SCANT).round().astype(int))]
     if len(some) < 3:
         return []
-    return resected_by_three(film, view.points[some], view.seen_at[some], TRIANGLES)
+    return resect_three(film, view.points[some], view.seen_at[some], TRIANGLES)
 
 
 def placed(view: PointView, camera: Camera) -> PointView:
@@ -91,12 +91,12 @@ def apart(places: list[PointView], close: float) -> list[PointView]:
     return result
 
 
-def inside(view: PointView) -> PointView:
+def within_bounds(view: PointView) -> PointView:
     """The view from within its bounds."""
     return view if view.bounds is None else view.stepped(np.zeros(len(components(view.freed))))
 
 
-def seen_from_behind(view: PointView) -> PointView | None:
+def reversed_depths(view: PointView) -> PointView | None:
     """The view from where a plane's points look the same but for their perspective, their
     depths reversed (Necker's cube); None where points are of no plane.
 

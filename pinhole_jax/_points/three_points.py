@@ -40,14 +40,14 @@ def poses_of_three(
     if not begin:
         return []
     which = np.array([k for k, _ in begin])
-    depths, off = _polished(np.array([d for _, d in begin]), sides[which], cosines[which])
+    depths, off = _polish(np.array([d for _, d in begin]), sides[which], cosines[which])
     good = np.all(depths > 0, axis=1) & (off < OFF * sides[which].max(axis=1))
     result: list[Pose] = []
     for k in np.unique(which[good]):
         some = depths[good & (which == k)]
         for n, one in enumerate(some):
             if not any(np.allclose(one, other, rtol=SAME) for other in some[:n]):
-                result.append(moved_onto(points[k], one[:, None] * rays[k]))
+                result.append(align(points[k], one[:, None] * rays[k]))
     return result
 
 
@@ -82,7 +82,7 @@ def _ratios(a: float, b: float, c: float, x: float, y: float, z: float) -> np.nd
     return np.unique(roots.real[roots.real > 0])
 
 
-def _polished(
+def _polish(
     depths: np.ndarray, sides: np.ndarray, cosines: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Distances (m, 3) after Gauss-Newton on the squared sides, and how far off the worst of
@@ -101,7 +101,7 @@ def _polished(
     return depths, np.abs(off()).max(axis=1)
 
 
-def moved_onto(points: np.ndarray, seen: np.ndarray, about_middle: bool = True) -> Pose:
+def align(points: np.ndarray, seen: np.ndarray, about_middle: bool = True) -> Pose:
     """The rotation and the translation that bring points onto others (Kabsch 1976), none
     but a rotation unless it may be about their middle."""
     middle, there = (x.mean(axis=0) * about_middle for x in (points, seen))

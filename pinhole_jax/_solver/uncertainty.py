@@ -56,7 +56,7 @@ def weak_directions(
     top = max(values[0], np.finfo(values.dtype).tiny)
     share = values / top
     words = tuple(
-        _sentence(_words(direction, components, axes), s, s <= blind)
+        sentence(_words(direction, components, axes), s, s <= blind)
         for s, direction in zip(share[::-1], directions[::-1], strict=True)
         if s < WEAK and all(abs(direction @ m) < 0.7 * np.linalg.norm(m) for m in named)
     )
@@ -84,7 +84,7 @@ def free_turns(triangle: np.ndarray, components: list[str], axes: np.ndarray) ->
     return vectors[: np.sum(size > 0.3)]
 
 
-def _sentence(moves: list[str], share: float, hidden: bool) -> str:
+def sentence(moves: list[str], share: float, hidden: bool) -> str:
     """A sentence on moves that hardly show together: a `share` of the best-seen move."""
     if hidden:
         return f"{' against '.join(moves)} is not visible"
