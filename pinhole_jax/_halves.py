@@ -53,6 +53,11 @@ class SplitPart(NamedTuple):
       names them.
     - `angle` (rad), `shift` (world units): how far the pose turned and moved, at the point whose
       place the halves know best, about the object's middle; NaN where no pose is compared.
+
+    ```python
+    part = check.parts[0]
+    print(np.rad2deg(part.angle), dict(zip(part.names, part.sigmas)))
+    ```
     """
 
     name: str
