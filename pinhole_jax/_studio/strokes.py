@@ -109,8 +109,8 @@ def mask_of(work: Work, guess: np.ndarray | None, W: int, H: int) -> np.ndarray 
 def guess_mask(photo: np.ndarray, guides: Sequence[Stroke]) -> np.ndarray | None:
     """Return a mask (H, W) guessed from strokes on object and background; None without an object.
 
-    A random walker (Grady 2006, scikit-image's) decides for each pixel which stroke it is likelier
-    to come to first, on a small picture in CIE Lab; its edge then follows the photo on finer ones.
+    A random walker (Grady 2006, scikit-image's) gives each pixel to the stroke that it likely meets
+    first, on a small picture in CIE Lab. The edge then follows the photo on finer ones.
     Without strokes on the background, the photo's border is it.
     """
     H, W = photo.shape[:2]

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 def fit_one(record: Record) -> Row:
     """Return the row (`batch.COLUMNS`) of a record (`batch.FIELDS`).
 
-    A record or a file that is wrong makes a row whose status is "failed", never an exception, as
-    long as the record is a mapping with an `id`. The row depends on nothing but the record, its
+    A wrong record or file makes a row whose status is "failed", never an exception, if the record
+    is a mapping with an `id`. The row depends on nothing but the record, its
     files, and JAX's float type. Meshes are kept for the records that follow.
 
     Raises ValueError for a record without `id`.

@@ -12,8 +12,8 @@ from .worker import Setup
 def tracked_rows(records: Iterable[Record], setup: Setup) -> Generator[Row, None, None]:
     """Yield the rows of records that are fitted in this process, one after another.
 
-    Each starts at the camera of the last one with the same mesh, if that converged and the record
-    has no camera of its own to start from.
+    Each starts at the camera of the last one with the same mesh that converged, unless the record
+    has a camera to start from.
     """
     converged: dict[str, Row] = {}
     for record in records:

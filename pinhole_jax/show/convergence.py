@@ -35,8 +35,8 @@ def off_px(fit: Fit, scene: Scene) -> list[float]:
 
 
 def levels(fit: Fit) -> list[tuple[Progress, int, int]]:
-    """Return the end of each level with all its steps, and the entries of `fit.history` at which
-    the level begins (the end of the level before) and ends.
+    """Return the end of each level with all its steps, and its first and last entry of
+    `fit.history` (the first is the end of the level before).
 
     ```python
     [end.W for end, first, last in pj.plot.levels(fit)]

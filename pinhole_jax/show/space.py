@@ -137,8 +137,8 @@ def _side_axes(axes: np.ndarray) -> np.ndarray:
 def _placement(
     spread: Points, view: np.ndarray, size: tuple[int, int], room: float
 ) -> tuple[Callable[[np.ndarray], np.ndarray], float]:
-    """Return a function from points (..., 3) to px (..., 2) of a picture with all of `spread` in
-    it, and its scale (px a unit)."""
+    """Return a function from points (..., 3) to px (..., 2), and its scale (px a unit): all of
+    `spread` is in the picture."""
     onto = view[:2].T * [1, -1]  # y runs down
     low, high = (spread @ onto).min(axis=0), (spread @ onto).max(axis=0)
     scale = float(np.min((np.array(size) - 2 * room) / np.maximum(high - low, 1e-30)))

@@ -26,7 +26,7 @@ def camera_card(camera: Camera, rows: Iterable[Sequence[str]]) -> str:
 def fit_card(fit: Fit) -> str:
     """Return a fit's card for notebooks.
 
-    The picture shows the camera, the path of its eye from the start, and as rings the eyes of
+    The picture shows the camera and the path of its eye from the start. Rings are the eyes of
     other views that fit the mask equally well.
     """
     colour = GOOD if fit.status == "converged" else BAD

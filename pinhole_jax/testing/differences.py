@@ -1,7 +1,7 @@
 """Central differences of an image, pixel by pixel, that recognise kinks.
 
 Coverage is smooth in the camera almost everywhere. It has a kink (two slopes) where an edge lies
-along a pixel's border or a face is seen edge-on, and a bend where an outline passes a pixel's
+along a pixel's border or a face is seen edge-on. It bends where an outline passes a pixel's
 corner. Both spoil a central difference only within its step. So steps come in pairs of h and h/2,
 and each pixel takes the first pair whose differences agree (Richardson's test).
 """
