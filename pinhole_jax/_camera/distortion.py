@@ -13,7 +13,6 @@ has there (C1). A camera whose film shows more than that is refused.
 
 import abc
 from collections.abc import Callable, Mapping
-from dataclasses import fields
 from functools import partial
 from typing import Any, ClassVar
 
@@ -44,7 +43,7 @@ NEWTON_STEPS = 40
 class Distortion(eqx.Module):
     """The interface of all models: their fields are coefficients.
 
-    `powers` has the power of the radius that each coefficient bends with.
+    `powers` has the power of the radius that each coefficient bends with, in the fields' order.
     """
 
     powers: ClassVar[Mapping[str, int]]
@@ -59,7 +58,7 @@ class Distortion(eqx.Module):
 
     def coefficients(self) -> dict[str, float]:
         """Return the coefficients by name."""
-        return {field.name: float(getattr(self, field.name)) for field in fields(self)}
+        return {name: float(getattr(self, name)) for name in self.powers}
 
     def trusted_radius(self) -> Float[Array, ""]:
         """Return the radius of the ideal image up to which the formula counts (a constant)."""
@@ -147,8 +146,7 @@ class BrownConrady(RadialTangential):
         p2: Real = 0.0,
         k3: Real = 0.0,
     ):
-        for name, value in zip(self.powers, _coefficients(self, k1, k2, p1, p2, k3), strict=True):
-            setattr(self, name, value)
+        _set_coefficients(self, k1, k2, p1, p2, k3)
 
     def radial(self, s: Array) -> Array:
         """Return the radial factor at a squared radius."""
@@ -184,9 +182,7 @@ class Rational(RadialTangential):
         k5: Real = 0.0,
         k6: Real = 0.0,
     ):
-        values = _coefficients(self, k1, k2, p1, p2, k3, k4, k5, k6)
-        for name, value in zip(self.powers, values, strict=True):
-            setattr(self, name, value)
+        _set_coefficients(self, k1, k2, p1, p2, k3, k4, k5, k6)
 
     def radial(self, s: Array) -> Array:
         """Return the radial factor at a squared radius."""
@@ -226,7 +222,7 @@ class Fisheye(Distortion):
         k3: Real = 0.0,
         k4: Real = 0.0,
     ):
-        self.k1, self.k2, self.k3, self.k4 = _coefficients(self, k1, k2, k3, k4)
+        _set_coefficients(self, k1, k2, k3, k4)
 
     def polynomial(self, x: Array, y: Array) -> tuple[Array, Array]:
         """Return the distorted point by the formula."""
@@ -283,9 +279,11 @@ def _growth(factor: Callable[[Array], Array], x: Array) -> Array:
     return value + rise
 
 
-def _coefficients(model: Distortion, *values: ArrayLike) -> list[Array]:
-    dtype, names = float_dtype(*values), [field.name for field in fields(model)]
-    return [float_array(name, x, (), dtype) for name, x in zip(names, values, strict=True)]
+def _set_coefficients(model: Distortion, *values: ArrayLike) -> None:
+    """Set a new model's fields, all of one float type."""
+    dtype = float_dtype(*values)
+    for name, value in zip(model.powers, values, strict=True):
+        setattr(model, name, float_array(name, value, (), dtype))
 
 
 def _linearised(

@@ -290,7 +290,7 @@ def morton_codes(points: Float[Array | np.ndarray, "N 3"]) -> UInt32[Array | np.
     return spread[:, 0] | spread[:, 1] << 1 | spread[:, 2] << 2
 
 
-def coarse(points: np.ndarray, name: str = "vertices") -> str:
+def rounding_warning(points: np.ndarray, name: str = "vertices") -> str:
     """Return a warning if float32 rounds points to a good part of the object, else nothing."""
     if not points.size:
         return ""
@@ -306,7 +306,7 @@ def coarse(points: np.ndarray, name: str = "vertices") -> str:
 
 
 def _warn_if_coarse(points: np.ndarray, name: str = "vertices") -> None:
-    if points.dtype == np.float32 and (words := coarse(points, name)):
+    if points.dtype == np.float32 and (words := rounding_warning(points, name)):
         warnings.warn(f"`{name}`: {words}, or set jax_enable_x64", stacklevel=3)
 
 

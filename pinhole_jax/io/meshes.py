@@ -9,7 +9,7 @@ import numpy as np
 
 from .._files.paths import existing, reason
 from .._mesh_files import MESH_ENDINGS, Polygons, read_polygons, triangulated
-from .._scene.scene import Mesh, coarse
+from .._scene.scene import Mesh, rounding_warning
 from .._scene.topology import by_place
 
 #: Files of solids and scenes, which programs export as triangles.
@@ -77,7 +77,7 @@ def load_mesh(path: str | os.PathLike[str], say: Callable[[str], object] | None 
     except ValueError as error:  # too large for float32
         raise ValueError(f"{error} (in {str(path)!r})") from error
     in_file = bool(np.all(merged == merged.astype(np.float32)))
-    if (in_file or mesh.vertices.dtype == np.float32) and (words := coarse(merged)):
+    if (in_file or mesh.vertices.dtype == np.float32) and (words := rounding_warning(merged)):
         cure = " (the file itself has float32 numbers)" if in_file else ", or set jax_enable_x64"
         words = f"`path`: {words}{cure} (in {str(path)!r})"
         warnings.warn(words, stacklevel=2) if say is None else say(words)
