@@ -1,6 +1,7 @@
 """Does a fit say so when its camera is wrong?
 
-    python experiments/honesty.py near-symmetric | wrong-masks | occluders | tolerance [OUT]
+    python experiments/honesty.py near-symmetric | wrong-masks | occluders | tolerance | \
+        unseen-exact | unseen-wrong | unseen-occluders [OUT]
 
 - `near-symmetric`: closed shapes that look alike from several sides (a mug and a can whose handle
   or bump is out of the outline, an ellipsoid, a sphere with a dent, a plate, a box), five kinds of
@@ -10,16 +11,19 @@
   the outline, cut off, bitten, kept as JPEG; objects of 40 to 230 px on films of 256 x 256 pixels.
 - `occluders`: a half-plane, a board or a ball hides 10 to 40 % of the outline, and no weight image
   says so. `--quick` takes 48 trials.
+- `unseen-...`: the first three with ten shapes that no constant was tuned on (`_shapes.py`).
 - `tolerance`: the error against corrupted outline, blur and occluders, with a weight image and
   without, starts 5 degrees and 5 % off.
 """
 
 import io
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import _shapes
 import numpy as np
 import trimesh
 from _common import (
@@ -126,6 +130,14 @@ def bumpy(random: Random) -> Made:
 
 SHAPES = {f.__name__: f for f in (mug, can, ellipsoid, dented, plate, box)}
 DRAWN = {f.__name__: f for f in (bumpy, bracket, mug, dented)}
+
+
+def made(shape: str, random: Random) -> tuple[pj.Scene, np.ndarray]:
+    """A shape of `SHAPES`, `DRAWN` or the unseen ones, and axes that look at it."""
+    if shape in _shapes.NAMES:
+        return _shapes.scene(shape, random), anywhere(random)
+    mesh, axes = (SHAPES | DRAWN)[shape](random)
+    return pj.Scene(mesh=mesh), axes
 
 
 # Masks: what a computed one becomes
@@ -243,8 +255,7 @@ def answer(
 def trial(number: int, shape: str, kind: str) -> dict:
     """Return a fit of a shape that looks alike from several sides."""
     random = np.random.default_rng([number, *map(ord, shape)])
-    mesh, axes = SHAPES[shape](random)
-    scene = pj.Scene(mesh=mesh)
+    scene, axes = made(shape, random)
     distance = random.uniform(1.2, 2.0) / np.sin(0.3)
     truth = camera_at(axes, random.uniform(-0.1, 0.1, 2), distance, 0.6, SIZE)
     target = KINDS[kind](mask_of(truth, scene), random)
@@ -260,9 +271,10 @@ def is_lie(row: dict) -> bool:
     return row["status"] == "converged" and row["degrees"] > 1 and not row["sigmas"] <= 4
 
 
-def near_symmetric(asked: Asked) -> dict:
-    cases = [(shape, kind) for shape in asked.names(SHAPES) for kind in KINDS]
-    rows = trials(asked, "near-symmetric", asked.number(1000, 35), cases, trial)
+def exact(name: str, shapes: Iterable[str], asked: Asked) -> dict:
+    """Masks that programs make."""
+    cases = [(shape, kind) for shape in asked.names(shapes) for kind in KINDS]
+    rows = trials(asked, name, asked.number(1000, 35), cases, trial)
     sure = [r for r in rows if r["status"] == "converged"]
     found = {
         "trials": len(rows),
@@ -291,10 +303,10 @@ def start_off(truth: pj.Camera, far: float, axis: np.ndarray, aside: np.ndarray)
 
 def view(shape: str, random: Random, least: float, most: float) -> tuple[pj.Scene, pj.Camera]:
     """Return a shape before a camera in which it is this many px large."""
-    mesh, axes = DRAWN[shape](random)
+    scene, axes = made(shape, random)
     px = np.exp(random.uniform(np.log(least), np.log(most)))
     distance = PX / np.tan(PHI / 2) / px
-    return pj.Scene(mesh=mesh), camera_at(axes, random.uniform(-0.1, 0.1, 2), distance, PHI, PX)
+    return scene, camera_at(axes, random.uniform(-0.1, 0.1, 2), distance, PHI, PX)
 
 
 def wrong_trial(number: int, shape: str, kind: str) -> dict:
@@ -355,15 +367,17 @@ def by_kind(rows: list[dict]) -> dict:
     return {"verdict": f"{len(rows)} fits: {words}", "table": table}
 
 
-def wrong_masks(asked: Asked) -> dict:
-    cases = [(shape, kind) for shape in DRAWN for kind in asked.names(WRONG)]
-    return by_kind(trials(asked, "wrong-masks", asked.number(1000, 36), cases, wrong_trial))
+def wrong(name: str, shapes: Iterable[str], asked: Asked) -> dict:
+    """Masks that people and networks make."""
+    cases = [(shape, kind) for shape in shapes for kind in asked.names(WRONG)]
+    return by_kind(trials(asked, name, asked.number(1000, 36), cases, wrong_trial))
 
 
-def occluders(asked: Asked) -> dict:
+def occluded(name: str, shapes: Iterable[str], asked: Asked) -> dict:
+    """Masks of objects behind something."""
     kinds = [f"{s} % {what}" for s in (10, 20, 30, 40) for what in ("plane", "board", "ball")]
-    cases = [(shape, kind) for shape in DRAWN for kind in kinds]
-    return by_kind(trials(asked, "occluders", asked.number(1000, 48), cases, hidden_trial))
+    cases = [(shape, kind) for shape in shapes for kind in kinds]
+    return by_kind(trials(asked, name, asked.number(1000, 48), cases, hidden_trial))
 
 
 # Where masks get worse and worse
@@ -427,9 +441,12 @@ if __name__ == "__main__":
     main(
         __doc__,
         {
-            "near-symmetric": near_symmetric,
-            "wrong-masks": wrong_masks,
-            "occluders": occluders,
+            "near-symmetric": partial(exact, "near-symmetric", SHAPES),
+            "wrong-masks": partial(wrong, "wrong-masks", DRAWN),
+            "occluders": partial(occluded, "occluders", DRAWN),
+            "unseen-exact": partial(exact, "unseen-exact", _shapes.NAMES),
+            "unseen-wrong": partial(wrong, "unseen-wrong", _shapes.NAMES),
+            "unseen-occluders": partial(occluded, "unseen-occluders", _shapes.NAMES),
             "tolerance": (tolerance, draw),
         },
     )
