@@ -5,11 +5,13 @@ correlation finds the roll at which each view comes closest to the mask.
 """
 
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from .._camera.axes import axes_of
 from .._camera.camera import Camera
+from .._numerics.memo import memoised
 from .._scene.scene import Ball, Scene
 from .mask import Mask
 from .signatures import ANGLES, Signature, distances, facing, signatures
@@ -19,53 +21,64 @@ from .thumbnails import SIZE, axes_inward, thumbnails
 VIEWS = 400
 #: The nearest that a view is taken from, in radii of the scene.
 NEAREST = 1.2
+#: Views are drawn from distances that differ by this factor.
+REACH_STEP = 1.15
 
 
-def _seen(
-    scene: Scene, ball: Ball, directions: np.ndarray, reach: float
-) -> tuple[Signature, np.ndarray]:
-    """Return signatures of the scene, and camera axes, from directions at `reach` radii."""
+class _Views(NamedTuple):
+    """A scene from directions (N, 3), `reach` radii away: signatures, and the cameras' axes."""
+
+    directions: np.ndarray
+    reach: float
+    signatures: Signature
+    axes: np.ndarray
+
+
+def _seen_all_round(scene: Scene, ball: Ball, number: int, reach: float) -> _Views:
+    """A scene as it looks from directions all over the sphere, from about `reach` radii away.
+
+    Fits of one scene share these views: hence the steps of the distance.
+    """
+    reach = float(np.clip(REACH_STEP ** round(np.log(reach) / np.log(REACH_STEP)), NEAREST, 50))
+    parts = [np.array([number, reach])]
+    for part, names in (scene.mesh, ("vertices", "faces")), (scene.spheres, ("centers", "radii")):
+        parts += [] if part is None else [np.asarray(getattr(part, name)) for name in names]
+    return memoised(_views, *parts, given=(scene, ball, sphere_points(number), reach))
+
+
+def _views(scene: Scene, ball: Ball, directions: np.ndarray, reach: float) -> _Views:
     phi = 2 * np.arcsin(min(1 / reach, 0.95))
     axes = axes_inward(directions)
     images = thumbnails(scene, ball, reach * directions, axes, phi)
     film = np.full(2, SIZE / (2 * np.tan(phi / 2))), np.full(2, SIZE / 2)
-    return signatures(images, np.ones((SIZE, SIZE)), *film), axes
+    found = signatures(images, np.ones((SIZE, SIZE)), *film)
+    found = found._replace(samples=found.samples.astype(np.float32))
+    return _Views(directions, reach, found, axes)
 
 
 def guesses(mask: Mask, scene: Scene, ball: Ball) -> Iterator[Camera]:
     """Yield cameras that may see the mask, the likeliest first; the camera's pose is not used."""
-    goal = mask.signature()
-    reach = _reach(scene, ball, goal)
-    views, axes = _seen(scene, ball, sphere_points(VIEWS), reach)
-    yield from _likely(mask, ball, goal, views, axes, reach)
+    return partly_hidden(mask, scene, ball, [None])[0]
 
 
 def partly_hidden(
     mask: Mask, scene: Scene, ball: Ball, directions: Sequence[float | None]
 ) -> list[Iterator[Camera]]:
-    """Return for each direction (rad, from the film's right to its top) cameras that may see the
+    """For each direction (rad, from the film's right to its top) the cameras that may see the
     mask, the likeliest first, if something hides what lies there; for None, if nothing does."""
-    goals = [mask.signature(), *(mask.signature(d) for d in directions if d is not None)]
-    reach = _reach(scene, ball, goals[0])
-    views, axes = _seen(scene, ball, sphere_points(VIEWS), reach)
-    hidden = iter(goals[1:])
-    asked = [goals[0] if d is None else next(hidden) for d in directions]
-    return [_likely(mask, ball, goal, views, axes, reach) for goal in asked]
+    whole = mask.signature()
+    # The mean distance (radii) from which the scene has the mask's size.
+    few = _seen_all_round(scene, ball, VIEWS // 10, 5.0)
+    sizes = few.signatures.solid_angle / whole.solid_angle[0]
+    views = _seen_all_round(scene, ball, VIEWS, few.reach * np.sqrt(np.median(sizes)))
+    goals = [whole if d is None else mask.signature(d) for d in directions]
+    return [_likely(mask, ball, goal, views) for goal in goals]
 
 
-def _reach(scene: Scene, ball: Ball, goal: Signature) -> float:
-    """The mean distance (radii) from which the scene has a mask's size."""
-    few, _ = _seen(scene, ball, sphere_points(VIEWS // 10), 5.0)
-    reach = 5.0 * np.sqrt(np.median(few.solid_angle) / goal.solid_angle[0])
-    return float(np.clip(reach, NEAREST, 50))
-
-
-def _likely(
-    mask: Mask, ball: Ball, goal: Signature, views: Signature, axes: np.ndarray, reach: float
-) -> Iterator[Camera]:
+def _likely(mask: Mask, ball: Ball, goal: Signature, views: _Views) -> Iterator[Camera]:
     """Yield cameras whose views are like a signature, the likeliest first."""
-    directions = sphere_points(VIEWS)
-    score = distances(goal, views)
+    seen = views.signatures
+    score = distances(goal, seen)
     dips = (score <= np.roll(score, 1, axis=1)) & (score < np.roll(score, -1, axis=1))
     # (A round mask looks the same at every roll: none of them is less than the next.)
     flat = ~np.any(dips, axis=1)
@@ -74,9 +87,9 @@ def _likely(
     for n, k in zip(*np.unravel_index(order, score.shape), strict=True):
         c, s = np.cos(2 * np.pi * k / ANGLES), np.sin(2 * np.pi * k / ANGLES)
         roll = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-        far = reach * np.sqrt(views.solid_angle[n] / goal.solid_angle[0])
-        eye = ball.centre + max(far, NEAREST) * ball.radius * directions[n]
-        yield mask.camera.with_pose(eye, goal.axes[0].T @ roll @ views.axes[n] @ axes[n])
+        far = max(views.reach * np.sqrt(seen.solid_angle[n] / goal.solid_angle[0]), NEAREST)
+        eye = ball.centre + far * ball.radius * views.directions[n]
+        yield mask.camera.with_pose(eye, goal.axes[0].T @ roll @ seen.axes[n] @ views.axes[n])
 
 
 def aimed(mask: Mask, scene: Scene, ball: Ball) -> Camera:
@@ -91,8 +104,8 @@ def aimed(mask: Mask, scene: Scene, ball: Ball) -> Camera:
     away = away / np.linalg.norm(away)
     reach = 5.0
     for _ in range(2):  # nearer, it looks a little different
-        view, _ = _seen(scene, ball, away[None], reach)
-        reach = max(reach * np.sqrt(view.solid_angle[0] / goal.solid_angle[0]), NEAREST)
+        size = _views(scene, ball, away[None], reach).signatures.solid_angle[0]
+        reach = max(reach * np.sqrt(size / goal.solid_angle[0]), NEAREST)
     toward = facing((axes @ -away)[None])[0] @ axes
     return mask.camera.with_pose(ball.centre + reach * ball.radius * away, goal.axes[0].T @ toward)
 

@@ -62,7 +62,7 @@ def signatures(
     angle = 2 * np.pi * np.arange(ANGLES) / ANGLES
     r = (radius[:, None] * ring)[:, :, None]
     flat = np.stack([r * np.cos(angle), r * np.sin(angle), np.ones((N, RINGS, ANGLES))], axis=-1)
-    ray = np.einsum("nrti,nij->nrtj", flat, axes)
+    ray = (flat.reshape(N, -1, 3) @ axes).reshape(flat.shape)
     ahead = ray[..., 2] > 1e-3
     depth = np.where(ahead, ray[..., 2], 1)
     column = ray[..., 0] / depth * focal[0] + centre[0] - 0.5

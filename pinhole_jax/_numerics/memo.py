@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 #: The largest number of results that are kept.
-MEMOISED = 64
+MEMOISED = 32
 _answers: dict[Any, Any] = {}
 
 
