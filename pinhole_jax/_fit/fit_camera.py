@@ -278,16 +278,17 @@ def behind_something(refiner: Refiner, plain: Candidate, start: Camera | None) -
     solver, mask, edge = refiner.solver, refiner.mask, refiner.edge
     look = lambda camera: Found(camera, solver.look(camera, solver.finest), ())
     found: list[Candidate] = []
-    best: Candidate | None = None
+    best = plain
     for proposed in (
         lambda: near_starts(solver, edge, known),
         lambda: from_all_sides(solver, mask, edge),
     ):
-        found += refiner.candidates(map(look, proposed()))
-        before, best = best, max(found, key=lambda c: c.log, default=None)
-        if best is not None and best is not before:
-            found += refiner.candidates([look(c) for c in mirrored(solver, best.found)])
-        if start is not None and best is not None and best.is_explained():
+        found += refiner.candidates(map(look, proposed()), best=best.log)
+        before, best = best, max([best, *found], key=lambda c: c.log)
+        if best is not before:
+            twins = mirrored(solver, best.found)
+            found += refiner.candidates(map(look, twins), best=best.log)
+        if start is not None and best.is_explained():
             break
     return found
 

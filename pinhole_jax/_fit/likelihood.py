@@ -77,10 +77,13 @@ class Account:
         return float(np.sum(edge.step[self.gross & self.inside & large]) / np.sum(whole))
 
 
-def account(edge: Edge, outline: OutlinePoints | None, quantisation: float) -> Account | None:
+def account(
+    edge: Edge, outline: OutlinePoints | None, quantisation: float, roughly: bool = False
+) -> Account | None:
     """The account of a mask's edge by a camera that sees an outline; None where there is none.
 
-    Its pixels' quantisation leaves them this mean square residual.
+    Its pixels' quantisation leaves them this mean square residual. `roughly`: with few hypotheses
+    on how the edge errs.
     """
     blocks = edge.blocks(BLOCKS, SHORTEST)
     if outline is None or len(blocks.length) < outline.by_move.shape[1] + 4:
@@ -88,7 +91,7 @@ def account(edge: Edge, outline: OutlinePoints | None, quantisation: float) -> A
     pairs = matched(edge, outline)
     limit = edge.size / 2
     offset = blocks.mean(np.clip(pairs.off, -limit, limit))
-    found = _explained(edge, blocks, offset, blocks.mean(pairs.by_move), quantisation)
+    found = _explained(edge, blocks, offset, blocks.mean(pairs.by_move), quantisation, roughly)
     gross = found.gross[blocks.of]
     inside = (offset < 0)[blocks.of]
     away = edge.distance(outline.at)
@@ -122,7 +125,12 @@ class _Segmentation:
 
 
 def _explained(
-    edge: Edge, blocks: Blocks, offset: np.ndarray, by_move: np.ndarray, quantisation: float
+    edge: Edge,
+    blocks: Blocks,
+    offset: np.ndarray,
+    by_move: np.ndarray,
+    quantisation: float,
+    roughly: bool,
 ) -> _Segmentation:
     """The likeliest runs of gross errors among offsets."""
     at = blocks.mean(edge.at)
@@ -137,39 +145,43 @@ def _explained(
         changes = np.count_nonzero(gross != np.roll(gross, 1))
         return _Segmentation(errors.log - ends * changes, errors, gross)
 
-    def runs(size: float) -> np.ndarray:
-        size = float(np.hypot(size, quantisation**0.5))
-        price = float(np.log(max(GROSS * edge.size / size, 1.5)))
-        share = np.clip(blocks.length / (2 * OVER), 0, 1)
-        believed = share * ((offset / size) ** 2 - 1) / 2
-        return _cheapest(believed, blocks.length / (SMOOTH * edge.size) * price, ends + price / 2)
-
-    several = {x.tobytes(): x for x in (np.zeros(len(at), bool), *map(runs, SIZES))}
+    size = np.hypot(SIZES, quantisation**0.5)[:, None]
+    price = np.log(np.maximum(GROSS * edge.size / size, 1.5))
+    share = np.clip(blocks.length / (2 * OVER), 0, 1)
+    fits = share * ((offset / size) ** 2 - 1) / 2
+    runs = _cheapest(fits, blocks.length / (SMOOTH * edge.size) * price, ends + price[:, 0] / 2)
+    several = {x.tobytes(): x for x in (np.zeros(len(at), bool), *runs)}
     some = [x for x in several.values() if np.mean(x) <= 1 - LEAST_BELIEVED]
-    if len(some) > 1:
-        some = sorted((weighed(x, True) for x in some), key=lambda x: -x.log)
-        some = [x.gross for x in some[:2]]
-    return max((weighed(x, False) for x in some), key=lambda x: x.log)
+    if len(some) == 1 and not roughly:
+        return weighed(some[0], False)
+    likeliest = sorted((weighed(x, True) for x in some), key=lambda x: -x.log)
+    if roughly:
+        return likeliest[0]
+    return max((weighed(x.gross, False) for x in likeliest[:2]), key=lambda x: x.log)
 
 
-def _cheapest(zero: np.ndarray, one: np.ndarray, change: float) -> np.ndarray:
-    """The cheapest way round a closed curve (N,) of zeros and ones (Viterbi)."""
-    best: tuple[float, np.ndarray] | None = None
-    for first in (0, 1):
-        total = np.where([first == 0, first == 1], [zero[0], one[0]], np.inf)
-        came = np.zeros((len(zero), 2), int)
-        for k in range(1, len(zero)):
-            step = total[:, None] + change * (1 - np.eye(2))
-            came[k] = np.argmin(step, axis=0)
-            total = step[came[k], [0, 1]] + [zero[k], one[k]]
-        total += change * (np.arange(2) != first)
-        way = np.full(len(zero), np.argmin(total))
-        for k in range(len(zero) - 1, 0, -1):
-            way[k - 1] = came[k, way[k]]
-        if best is None or total.min() < best[0]:
-            best = float(total.min()), way == 1
-    assert best is not None
-    return best[1]
+def _cheapest(zero: np.ndarray, one: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """The cheapest ways (K, N) of zeros and ones round a closed curve of N blocks (Viterbi).
+
+    Costs: `zero` and `one` (K, N) of a block, `change` (K,) from block to block.
+    """
+    costs = np.stack([zero, one], axis=-1)
+    across = change[:, None, None] * (1 - np.eye(2))
+    # Each way begins as 0 or as 1, and has to end where it began: (K, first, state).
+    total = np.where(np.eye(2, dtype=bool), costs[:, None, 0], np.inf)
+    came = np.zeros((costs.shape[1], *total.shape), int)
+    for k in range(1, costs.shape[1]):
+        steps = total[..., None] + across[:, None]
+        came[k] = np.argmin(steps, axis=2)
+        total = np.min(steps, axis=2) + costs[:, None, k]
+    total = (total + across).reshape(len(total), 4)
+    best = np.argmin(total, axis=1)
+    each, first, state = np.arange(len(best)), best // 2, best % 2
+    ways = np.zeros(zero.shape, bool)
+    for k in range(costs.shape[1] - 1, -1, -1):
+        ways[:, k] = state
+        state = came[k, each, first, state]
+    return ways
 
 
 def believed(near: NearWeights, edge: Edge, gross: np.ndarray) -> NearWeights:

@@ -20,6 +20,8 @@ from .likelihood import Account, account, believed
 #: Pixels count near the mask's edge: within these times `outlier_px`, what other stretches of
 #: the outline pulled away coming back at first.
 REACHES = (8, 4, 2, 1)
+#: ... and within so many sizes of the mask's errors: weights that cut errors off narrow a sigma.
+SIZES_WITHIN = 2.5
 #: A camera is one of several if its likelihood is at least this share of the best one's; while
 #: they are refined, cameras whose logarithm is less by `HOPELESS` are left.
 LEAST_SHARE, HOPELESS = 1e-3, 60.0
@@ -76,28 +78,45 @@ class Refiner:
         """The refiner on a mask's edge."""
         return cls(solver, mask, edge_of(mask), outlier_px)
 
-    def candidates(self, cameras: Iterable[Found], start: Camera | None = None) -> list[Candidate]:
-        """The candidates that cameras become, but for those that the first ones rule out."""
+    def candidates(
+        self, cameras: Iterable[Found], start: Camera | None = None, best: float | None = None
+    ) -> list[Candidate]:
+        """The candidates that cameras become, but for those that others rule out: the first ones,
+        or where these are proposals beside a `best` likelihood (its logarithm) the likeliest."""
+        begun = [(found, self.account(found.camera, roughly=True)) for found in cameras]
+        if best is not None:
+            begun.sort(key=lambda pair: -np.inf if pair[1] is None else -pair[1].log)
         done: list[Candidate] = []
-        for found in cameras:
-            best = max((c.log for c in done), default=-np.inf)
-            made = self._refined(found, start, best - HOPELESS)
+        for found, said in begun:
+            log = max((c.log for c in done), default=-np.inf if best is None else best)
+            made = self._refined(found, said, start, log - HOPELESS)
             done += [] if made is None else [made]
         return done
 
-    def _refined(self, found: Found, start: Camera | None, least: float) -> Candidate | None:
-        begin, said = found.camera, self.account(found.camera)
-        gross = np.zeros(len(self.edge.at), bool) if said is None else said.gross
-        near = self.solver
+    def _refined(
+        self, found: Found, said: Account | None, start: Camera | None, least: float
+    ) -> Candidate | None:
+        begin, gross = found.camera, np.zeros(len(self.edge.at), bool)
+        if said is not None:
+            gross = said.gross
+            # (The account allows for an error of the camera; for what is left to descend, too.)
+            if said.log < least - HOPELESS:
+                return None
+        near, reaches = self.solver, list(REACHES)
         alone = said is not None and not np.any(gross) and said.missing == 0
-        for reach in REACHES[-1:] if alone else REACHES:
+        if alone:
+            reaches = [self._least_reach(said)]
+        while reaches:
+            reach = reaches.pop(0)
             near = self.solver.weighed(self._weights(reach, gross), only_finest=True)
-            px = COARSE_PX if reach > 1 else FINE_PX[self.solver.dtype]
+            px = COARSE_PX if reaches else FINE_PX[self.solver.dtype]
             found = onward(found, near.solve(found.camera, [near.finest], fine_px=px))
-            said = self.account(found.camera)
-            if said is not None and reach > 1:
-                gross = said.gross
-            if said is not None and said.log < least and reach == REACHES[-2]:
+            said = self.account(found.camera, roughly=bool(reaches))
+            if said is None or not reaches:
+                continue
+            gross, least_reach = said.gross, self._least_reach(said)
+            reaches = [x for x in reaches if x > least_reach] + [least_reach]
+            if len(reaches) == 1 and said.log < least:
                 return None
         # (A descent that began there, with these weights, does not end higher.)
         for camera in [] if alone else [begin] if start is None else [begin, start]:
@@ -111,12 +130,17 @@ class Refiner:
         whole = self.solver.look(found.camera, self.solver.finest)
         return Candidate(found, whole, said, near, wide)
 
-    def account(self, camera: Camera) -> Account | None:
+    def account(self, camera: Camera, roughly: bool = False) -> Account | None:
         """The account of the mask's edge by a camera."""
         noise = self.solver.kind.variance / self.mask.usual_weight
         noise = float(np.clip(noise, LEAST_VARIANCE, ONE_BIT))
         outline = outline_seen(self.solver, camera, self.solver.finest)
-        return account(self.edge, outline, noise)
+        return account(self.edge, outline, noise, roughly)
+
+    def _least_reach(self, said: Account | None) -> int:
+        """The shortest reach that holds errors as large as a mask's."""
+        px = 0.0 if said is None else SIZES_WITHIN * said.size
+        return min((x for x in REACHES if x * self.outlier_px >= px), default=REACHES[0])
 
     def _weights(self, reach: int, gross: np.ndarray) -> NearWeights:
         return believed(self.mask.near_edge(reach * self.outlier_px), self.edge, gross)
