@@ -98,7 +98,8 @@ def account(
     alone = away > max(BESIDE_SIZES * found.errors.size, BESIDE_PX)
     alone[alone] = ~_is_hidden(edge, gross & inside, outline.at[alone], away[alone])
     missing = float(np.mean(alone))
-    price = _price(missing * outline.length, edge.size, found.errors.size)
+    px = missing * outline.length
+    price = _price(px, min(px / 3, 1.0), edge.size, max(found.errors.size, 0.3))
     errors = found.errors
     return Account(found.log - price, errors.size, errors.length, gross, inside, missing)
 
@@ -111,10 +112,10 @@ def _is_hidden(edge: Edge, hides: np.ndarray, points: np.ndarray, away: np.ndarr
     return edge.where(hides).distance(points) < 1.5 * away + 2
 
 
-def _price(px: float, size: float, error: float) -> float:
-    """The cost of a gross error of an outline along a length (px)."""
-    costs = (1 + px / (SMOOTH * size)) * np.log(GROSS * size / max(error, 0.3))
-    return float(max(costs, 0.0) * min(px / 3, 1.0))
+def _price(px: float, runs: float, size: float, precision: float) -> float:
+    """The cost of describing smooth curves of this length (px) in all to a precision (px)."""
+    numbers = runs + px / (SMOOTH * size)
+    return float(numbers * max(np.log(GROSS * size / precision), 0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,17 +134,17 @@ def _explained(
     roughly: bool,
 ) -> _Segmentation:
     """The likeliest runs of gross errors among offsets."""
-    at = blocks.mean(edge.at)
-    away = np.sqrt(np.sum((at[:, None] - at[None]) ** 2, axis=-1))
-    far = (GROSS * edge.size) ** 2 * np.exp(-((away / (SMOOTH * edge.size)) ** 2) / 2)
-    far += ROUGH_PX**2 * np.eye(len(at))
-    ends = float(np.log(len(at)))
+    at, ends = blocks.mean(edge.at), float(np.log(len(blocks.length)))
 
     def weighed(gross: np.ndarray, roughly: bool) -> _Segmentation:
-        offsets = Offsets(at, blocks.length, offset, by_move, far * np.outer(gross, gross))
+        fine = ~gross
+        offsets = Offsets(at[fine], blocks.length[fine], offset[fine], by_move[fine])
         errors = weigh(offsets, quantisation, roughly)
-        changes = np.count_nonzero(gross != np.roll(gross, 1))
-        return _Segmentation(errors.log - ends * changes, errors, gross)
+        # As dense as what lies about a smooth curve within `ROUGH_PX`.
+        log = errors.log - np.sum(gross) * (0.5 + np.log(ROUGH_PX))
+        runs = np.count_nonzero(gross != np.roll(gross, 1)) / 2
+        log -= 2 * ends * runs + _price(np.sum(blocks.length[gross]), runs, edge.size, ROUGH_PX)
+        return _Segmentation(float(log), errors, gross)
 
     size = np.hypot(SIZES, quantisation**0.5)[:, None]
     price = np.log(np.maximum(GROSS * edge.size / size, 1.5))

@@ -17,11 +17,10 @@ from .._solver.solver import LEAST_VARIANCE, ONE_BIT, Found, Solver, onward
 from .edge import Edge, edge_of, outline_seen
 from .likelihood import Account, account, believed
 
-#: Pixels count near the mask's edge: within these times `outlier_px`, what other stretches of
-#: the outline pulled away coming back at first.
-REACHES = (8, 4, 2, 1)
-#: ... and within so many sizes of the mask's errors: weights that cut errors off narrow a sigma.
-SIZES_WITHIN = 2.5
+#: Pixels count near the mask's edge: at first within these times `outlier_px`, what other stretches
+#: of the outline pulled away coming back; then within this many sizes of the mask's errors, if that
+#: is more than `outlier_px` (weights that cut errors off narrow a sigma).
+WIDE, SIZES_WITHIN = 4.0, 2.5
 #: A camera is one of several if its likelihood is at least this share of the best one's; while
 #: they are refined, cameras whose logarithm is less by `HOPELESS` are left.
 LEAST_SHARE, HOPELESS = 1e-3, 60.0
@@ -102,31 +101,30 @@ class Refiner:
             # (The account allows for an error of the camera; for what is left to descend, too.)
             if said.log < least - HOPELESS:
                 return None
-        near, reaches = self.solver, list(REACHES)
         alone = said is not None and not np.any(gross) and said.missing == 0
-        if alone:
-            reaches = [self._least_reach(said)]
-        while reaches:
-            reach = reaches.pop(0)
-            near = self.solver.weighed(self._weights(reach, gross), only_finest=True)
-            px = COARSE_PX if reaches else FINE_PX[self.solver.dtype]
-            found = onward(found, near.solve(found.camera, [near.finest], fine_px=px))
-            said = self.account(found.camera, roughly=bool(reaches))
-            if said is None or not reaches:
-                continue
-            gross, least_reach = said.gross, self._least_reach(said)
-            reaches = [x for x in reaches if x > least_reach] + [least_reach]
-            if len(reaches) == 1 and said.log < least:
-                return None
+        if not alone:
+            wide = self.solver.weighed(self._weights(WIDE, gross), only_finest=True)
+            found = onward(found, wide.solve(found.camera, [wide.finest], fine_px=COARSE_PX))
+            said = self.account(found.camera, roughly=True)
+            if said is not None:
+                gross = said.gross
+                if said.log < least:
+                    return None
+        reach = 1.0 if said is None else SIZES_WITHIN * said.size / self.outlier_px
+        near = self.solver.weighed(
+            self._weights(float(np.clip(reach, 1, WIDE)), gross), only_finest=True
+        )
+        px = FINE_PX[near.dtype]
+        found = onward(found, near.solve(found.camera, [near.finest], fine_px=px))
+        said = self.account(found.camera)
         # (A descent that began there, with these weights, does not end higher.)
         for camera in [] if alone else [begin] if start is None else [begin, start]:
             if not near.look(camera, near.finest).squares >= found.view.squares:
-                px = FINE_PX[near.dtype]
                 found = onward(found, near.solve(camera, [near.finest], fine_px=px))
                 said = self.account(found.camera)
         wide = self.solver
         if np.any(gross):
-            wide = self.solver.weighed(self._weights(REACHES[0], gross))
+            wide = self.solver.weighed(self._weights(WIDE, gross))
         whole = self.solver.look(found.camera, self.solver.finest)
         return Candidate(found, whole, said, near, wide)
 
@@ -137,12 +135,7 @@ class Refiner:
         outline = outline_seen(self.solver, camera, self.solver.finest)
         return account(self.edge, outline, noise, roughly)
 
-    def _least_reach(self, said: Account | None) -> int:
-        """The shortest reach that holds errors as large as a mask's."""
-        px = 0.0 if said is None else SIZES_WITHIN * said.size
-        return min((x for x in REACHES if x * self.outlier_px >= px), default=REACHES[0])
-
-    def _weights(self, reach: int, gross: np.ndarray) -> NearWeights:
+    def _weights(self, reach: float, gross: np.ndarray) -> NearWeights:
         return believed(self.mask.near_edge(reach * self.outlier_px), self.edge, gross)
 
     def is_hidden(self, candidate: Candidate) -> bool:

@@ -117,7 +117,7 @@ def _odds_of_computed(beyond: int, pixels: int) -> float:
 def _weighed(stretches: Stretches, quantisation: float, odds: float) -> OutlineErrors:
     """Return the mean of the hypotheses, each as likely as the offsets are under it, and as the
     mask is of being computed (by logarithmic `odds`)."""
-    model = _Model(stretches, quantisation)
+    model = _Model(stretches, quantisation, _felt(stretches.offset, stretches.share))
     together = _hypotheses(model)
     together.independent[0] = np.sum(stretches.length)
     logs = together.log_likelihood
@@ -163,14 +163,13 @@ def _felt(offset: np.ndarray, share: np.ndarray) -> np.ndarray:
 
 
 class Offsets(NamedTuple):
-    """Offsets (N,) of a mask's edge at blocks of a `length` (N,) in px, `by_move` (N, n) of the
-    solver, and the `covariance` (N, N) of gross errors."""
+    """Offsets (N,) of a mask's edge at blocks of a `length` (N,) in px, and their derivatives
+    `by_move` (N, n) of the solver."""
 
     at: np.ndarray
     length: np.ndarray
     offset: np.ndarray
     by_move: np.ndarray
-    covariance: np.ndarray
 
 
 class ErrorFit(NamedTuple):
@@ -185,8 +184,8 @@ def weigh(offsets: Offsets, quantisation: float, roughly: bool = False) -> Error
     """How likely offsets are, all hypotheses on the mask's errors together, or some of them."""
     from scipy.special import logsumexp
 
-    stretches = Stretches(*offsets[:4], np.zeros(len(offsets.offset)), 0, 0)
-    model = _Model(stretches, quantisation, offsets.covariance)
+    stretches = Stretches(*offsets, np.zeros(len(offsets.offset)), 0, 0)
+    model = _Model(stretches, quantisation, stretches.offset)
     together = _hypotheses(model, LENGTHS[1:2], OWN[:1]) if roughly else _hypotheses(model)
     logs = together.log_likelihood
     likeliest = int(np.argmax(logs))
@@ -196,18 +195,16 @@ def weigh(offsets: Offsets, quantisation: float, roughly: bool = False) -> Error
 
 
 class _Model:
-    """Offsets at stretches, and what hypotheses make of them."""
+    """Offsets (N,) at stretches, and what hypotheses make of them."""
 
-    def __init__(self, stretches: Stretches, quantisation: float, gross: np.ndarray | None = None):
-        self._gross = gross
-        X, self.count = stretches.by_move, len(stretches.offset)
-        felt = _felt(stretches.offset, stretches.share) if gross is None else stretches.offset
+    def __init__(self, stretches: Stretches, quantisation: float, offset: np.ndarray):
+        X, self.count = stretches.by_move, len(offset)
         between = stretches.at[:, None] - stretches.at[None]
         self._distance = np.sqrt(np.sum(between**2, axis=-1))
         crowded = max(1.0, stretches.pixels / float(np.sum(stretches.length)) / STRAIGHT)
         self._quantisation = ALIKE * quantisation * crowded / float(np.mean(stretches.length))
         units = X / np.maximum(np.linalg.norm(X, axis=0), 1e-300)
-        self._columns = np.column_stack([units, np.ones(self.count), felt])
+        self._columns = np.column_stack([units, np.ones(self.count), offset])
         self._pull = X.T * stretches.share
 
     def hypotheses(
@@ -227,8 +224,6 @@ class _Model:
         (far_once, near_once), which = np.unique([far, near], axis=1, return_inverse=True)
         own_errors = near_once[:, None, None] * np.eye(self.count)
         covariance = far_once[:, None, None] * correlation + own_errors
-        if self._gross is not None:
-            covariance = covariance + self._gross
         white, log_determinant = _whitened(covariance, self._columns, near_once)
         products = (white @ np.swapaxes(white, 1, 2))[which.ravel()]
 
