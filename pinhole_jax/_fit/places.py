@@ -30,8 +30,6 @@ STEPS, DESCENTS = 10, 240
 APART, SIGMAS = np.deg2rad(0.5), 1.5
 #: Places that differ by less than this many variances of a residual are equal: 5.5 standard errors.
 EQUAL_TIMES = 30.0
-#: ... along a walk, whose places are samples of many: what lies between may be better.
-WALK_TIMES = 100.0
 #: ... of a mask that a person or a network drew, whose errors along stretches are counted already:
 #: one is a hundred times as likely as the other.
 DRAWN_TIMES = 2 * np.log(100)
@@ -41,22 +39,11 @@ DRAWN_TIMES = 2 * np.log(100)
 #: times as wide as the Jacobian says.
 LOOKED, PROFILE_SIGMAS, PROFILE_RAD = 2, np.array([2.0, 5.0]), np.deg2rad([1, 25])
 PROFILE_STEPS, PROFILE_ENDS, WIDER = 5, 0.02, 1.3
-#: ... and if they leave this share of what the Jacobian foretells at their distance, or less.
-LIKE_FORETOLD = 0.5
-#: A direction that shows less than this share of the best-seen one is looked at on both sides, so
-#: many standard errors away and half as far (between these angles, rad): there the squares have to
-#: have risen by about as much as the Jacobian says, within these factors, and it has to show, too.
-DOUBTFUL, DOUBT_SIGMAS, DOUBT_RAD, RISE = 0.2, 12.0, np.deg2rad([4, 10]), (0.15, 10.0)
-#: ... nor be this many times as steep.
-STEEPER = 4.0
-#: Where both of the farther ones rise as foretold within these factors, the nearer ones need not be
-#: looked at. (The right cameras of 20 hard and noisy masks rise 0.7 to 1.2 times as much, of
-#: blurred ones 0.3 to 0.9; two whose knob is about to show 0.08 and 0.2, on that side.)
-FORETOLD = (0.5, 2.0)
-#: A descent that ends on a level for what is far away (see `Solver.far`) is followed no further
-#: where it is worse by this many times what is equal along a walk, nor where it is at a place that
-#: another one led to: so near (rad).
-FAR_TIMES, RETURNED = 4.0, APART / 2
+#: Where nothing is nearly free, the weakest direction is walked along if it shows less than this
+#: share of the best-seen one.
+DOUBTFUL = 0.2
+#: A descent that ends so near (rad) a place that another one led to is followed no further.
+RETURNED = APART / 2
 #: This many equal places along a walk are no list of modes but a direction that is free.
 MANY = 4
 #: An interval larger than this (rad) is taken for the whole circle.
@@ -69,11 +56,6 @@ DIRECTIONS = sphere_points(64)
 #: followed, the likeliest first, until `LIKELY` were worse, or there are `MOST`. An axis is
 #: another one if the cosine between them is less than this.
 LONGEST, LIKELY, MOST, SAME_AXIS = np.deg2rad(4.0), 6, 24, np.cos(np.deg2rad(30))
-#: A hard mask's right camera leaves less than this many times its variance on the level that walks
-#: are on (0.4 to 0.8 times; on a wrong facet 3 times and more). Where more is left, nearly free
-#: turns are looked at all round, so far apart as `LONGEST`, and this many places followed. The step
-#: that brings all but the turn to rest leaves out what shows less than this share.
-UNEXPLAINED, ALL_ROUND_MOST, AT_REST = 2.0, 4, 0.02
 #: Cameras so close (rad) are the same to a walk all round.
 WALKED = 1e-3
 #: Of turns that bring facets to facets, this many are followed.
@@ -117,15 +99,17 @@ class Places(NamedTuple):
 
 
 class _Direction(NamedTuple):
-    """A turn about an axis (3,) in the world, or a shift (None): the move (n,) by one rad of it, in
-    the solver's units, its standard error (rad) by the Jacobian, and the line that the body is
-    round about, if that is what it turns about; whether the Jacobian shows it, and is doubted."""
+    """A turn about an axis (3,) in the world, or a shift (None).
+
+    - `move` (n,): by one rad of it, in the solver's units; `sigma`: its standard error (rad) by
+      the Jacobian.
+    - `line`: what the body is round about, if it turns about that.
+    """
 
     move: np.ndarray
     axis: np.ndarray | None
     sigma: float
     line: Revolution | None = None
-    doubted: bool = False
 
 
 def settled(solver: Solver, best: Found, start: Camera | None = None) -> Places:
@@ -141,10 +125,6 @@ def settled(solver: Solver, best: Found, start: Camera | None = None) -> Places:
         seen += [best, *places]
         left -= len(places)
         place = _likeliest(solver, best, places, start)
-        if not better(solver, place.view, best.view):
-            places = _all_round(solver, best, directions)
-            place = _likeliest(solver, best, places, start)
-            seen += places
         if not better(solver, place.view, best.view):
             break
         view = solver.look(place.camera, solver.finest)
@@ -247,11 +227,9 @@ def _best_turned(
     return least
 
 
-def equal_views(solver: Solver, view: View, best: View, times: float = EQUAL_TIMES) -> bool:
+def equal_views(solver: Solver, view: View, best: View) -> bool:
     """True if the mask's own noise allows a view as well as the best."""
-    errors = solver.errors(best)
-    if is_drawn(errors):
-        times = min(times, DRAWN_TIMES)
+    times = DRAWN_TIMES if is_drawn(solver.errors(best)) else EQUAL_TIMES
     allowed = times * solver.variance(best)
     return bool(_surplus(solver, view) - _surplus(solver, best) <= allowed)
 
@@ -314,58 +292,14 @@ def _round(solver: Solver, found: Found) -> list[_Direction]:
 
 
 def _doubtful(solver: Solver, found: Found) -> list[_Direction]:
-    """Return a turn or shift whose effect on the mask the Jacobian does not tell: where a part
-    of the object is just about to show, residuals rise on one side only, or far steeper there."""
-    view, kind = found.view, solver.kind
-    triangle = np.asarray(view.triangle, float)
-    sharp = kind.exact and not kind.spread and view.touched_misfit <= kind.most
+    """The turn or shift that shows least, if it does not show well: where a part of the object is
+    just about to show, the mask says more on one side than the Jacobian does."""
+    kind, triangle = solver.kind, np.asarray(found.view.triangle, float)
+    sharp = kind.exact and not kind.spread and found.view.touched_misfit <= kind.most
     if sharp or not np.all(np.isfinite(triangle)):
         return []
-    weak = weak_moves(triangle, components(solver.freed), DOUBTFUL)
-    if not weak:
-        return []
-    direction = _direction(solver, found, *weak[-1])
-    far = np.clip(DOUBT_SIGMAS * direction.sigma, *DOUBT_RAD) * _radian(solver, found)
-    number = _walked_on(solver)
-    here = view if number == solver.finest else solver.look(found.camera, number)
-    for part in (far, far / 2):
-        moves = part * weak[-1][1], -part * weak[-1][1]
-        beside = [_beside(solver, found, here, number, move) for move in moves]
-        if any(seen.is_strange() for seen in beside):
-            return [direction._replace(doubted=True)]
-        if all(seen.is_foretold() for seen in beside):
-            break  # what is as foretold so far away was so on the way
-    return []
-
-
-class _Beside(NamedTuple):
-    """What is seen at a camera beside another one: by how much squares rose, and how steeply they
-    rise on, beside what the Jacobian foretells; whether another direction hardly shows there."""
-
-    rise: float
-    slope: float
-    blind: bool = False
-
-    def is_strange(self) -> bool:
-        usual = RISE[0] < self.rise < RISE[1] and self.slope <= STEEPER and not self.blind
-        return not usual and bool(np.isfinite(self.rise))
-
-    def is_foretold(self) -> bool:
-        return FORETOLD[0] < self.rise < FORETOLD[1] and self.slope < FORETOLD[1]
-
-
-def _beside(solver: Solver, found: Found, here: View, number: int, move: np.ndarray) -> _Beside:
-    """A level's view at a move of a camera whose view there is `here`."""
-    other = solver.look(solver.step(found.camera, solver.finest, move), number)
-    triangle = np.asarray(other.triangle, float)
-    if not np.all(np.isfinite(triangle)):
-        return _Beside(np.nan, np.nan)
-    # (The same move, in that level's units.)
-    moved = move * np.asarray(found.view.scale, float) / np.asarray(here.scale, float)
-    shows = float(np.sum((np.asarray(here.triangle, float) @ moved) ** 2))
-    slope = float(np.asarray(other.along) @ triangle @ moved) / shows
-    blind = bool(weak_moves(triangle, components(solver.freed)))
-    return _Beside((other.squares - here.squares) / shows, slope, blind)
+    weak = weak_moves(triangle, components(solver.freed), DOUBTFUL)[-1:]
+    return [_direction(solver, found, *pair) for pair in weak]
 
 
 def _radian(solver: Solver, found: Found) -> float:
@@ -388,64 +322,10 @@ def _along(solver: Solver, best: Found, direction: _Direction) -> list[Found]:
     return _strides(solver, best, direction, [s * x for s in (1, -1) for x in STRIDES])
 
 
-def _is_explained(solver: Solver, best: Found) -> bool:
-    """True if a camera leaves no more of a mask than a right one does.
-
-    On coarser levels a hard edge averages out, and what the wrong facets leave does not.
-    """
-    if not (solver.kind.hard and solver.explains(best.view)):
-        return solver.explains(best.view)
-    number = _walked_on(solver)
-    least = _least_on(solver, number)
-    return solver.look(best.camera, number).touched_misfit < UNEXPLAINED * least
-
-
-def _all_round(solver: Solver, best: Found, directions: list[_Direction]) -> list[Found]:
-    """The ends of descents from the likeliest cameras all round turns that are nearly
-    free, where the mask is not explained: of a body that has such turns every way there are none.
-
-    What is nearly round about an axis may show its facets: each leaves a valley some degrees wide,
-    which strides pass over.
-    """
-    turns = [d for d in directions if d.axis is not None and d.line is None and not d.doubted]
-    if not 0 < len(turns) < 3 or _is_explained(solver, best):
-        return []
-    number, walk = max(_walked_on(solver) - 1, 0), _Walk.of(solver, best)
-    likely = [c for d in turns for c in _likely_round(solver, best, d, number)]
-    return _finite(place for place in walk.led_to(likely) if place is not None)
-
-
-def _likely_round(
-    solver: Solver, best: Found, direction: _Direction, number: int
-) -> Iterator[Camera]:
-    """Yield the likeliest cameras all round a turn, by a level.
-
-    All but the turn is brought to rest by one step, since an axis that is off by half a degree
-    shows more than facets do.
-    """
-    far = np.arange(LONGEST, 2 * np.pi, LONGEST)
-    turned = [solver.step(best.camera, solver.finest, x * direction.move) for x in far]
-    seen = zip(turned, solver.looks(turned, number), strict=True)
-    rested = [_rested(solver, camera, view, number) for camera, view in seen]
-    squares = _glances(solver, rested, number)
-    lower = (squares <= np.roll(squares, 1)) & (squares <= np.roll(squares, -1))
-    likely = [k for k in np.argsort(squares) if lower[k] and np.isfinite(squares[k])]
-    yield from (rested[k] for k in likely[:ALL_ROUND_MOST])
-
-
-def _rested(solver: Solver, camera: Camera, view: View, number: int) -> Camera:
-    """Return a camera after one step by all that shows on a level, where it has a view."""
-    triangle, along = (np.asarray(x, float) for x in (view.triangle, view.along))
-    if not (np.all(np.isfinite(triangle)) and np.any(triangle)):
-        return camera
-    step = np.linalg.lstsq(triangle, -along, rcond=AT_REST)[0]
-    return solver.step(camera, number, step)
-
-
 def _strides(solver: Solver, best: Found, direction: _Direction, far: list[float]) -> list[Found]:
     """The ends of descents from distances (rad) along a direction."""
     starts = (solver.step(best.camera, solver.finest, x * direction.move) for x in far)
-    return _finite(p for p in _Walk.of(solver, best).led_to(starts) if p is not None)
+    return _finite(p for p in _led_to(solver, best, starts) if p is not None)
 
 
 def _around(solver: Solver, best: Found, line: Revolution) -> list[Found]:
@@ -470,9 +350,9 @@ def _around(solver: Solver, best: Found, line: Revolution) -> list[Found]:
     # (The golden ratio: where many are as good as one another, some all round.)
     order = np.lexsort((np.arange(count) * 0.618034 % 1, surplus))
     likely = [cameras[k] for k in order[lower[order]][:MOST]]
-    for place in _Walk.of(solver, best).led_to(likely):
+    for place in _led_to(solver, best, likely):
         places += [] if place is None else [place]
-        worse += place is None or not equal_views(solver, place.view, best.view, WALK_TIMES)
+        worse += place is None or not equal_views(solver, place.view, best.view)
         if worse == LIKELY:
             break
     places = _finite(places)
@@ -480,61 +360,26 @@ def _around(solver: Solver, best: Found, line: Revolution) -> list[Found]:
     return places
 
 
-class _Walk(NamedTuple):
-    """Descents from far away from the best camera: on a level where steps lead far, and from what
-    is another place there, and perhaps as good, on the finest one. `here` is the best on that
-    level, `worse` what squares there are too many, `known` where others came to."""
-
-    solver: Solver
-    number: int
-    here: View
-    worse: float
-    known: list[Camera]
-
-    @classmethod
-    def of(cls, solver: Solver, best: Found) -> "_Walk":
-        number = _walked_on(solver)
-        if number == solver.finest:
-            return cls(solver, number, best.view, np.inf, [])
-        here = solver.look(best.camera, number)
-        worse = here.squares + FAR_TIMES * WALK_TIMES * _variance_on(solver, best, number, here)
-        return cls(solver, number, here, worse, [best.camera])
-
-    def led_to(self, starts: Iterable[Camera]) -> Iterator[Found | None]:
-        """Yield where descents lead to, None for one that leads to what is worse or known."""
-        solver = self.solver
-        if self.number == solver.finest:
-            yield from _descended(solver, starts)
-            return
-        for found in _descended(solver, starts, self.number):
-            known = any(separation(solver, found.camera, c) < RETURNED for c in self.known)
-            if known or not found.view.squares <= self.worse:
-                yield None
-            else:
-                self.known.append(found.camera)
-                yield from _descended(solver, [found.camera])
+def _led_to(solver: Solver, best: Found, starts: Iterable[Camera]) -> Iterator[Found | None]:
+    """Yield where descents lead to: on a level where steps lead far, and from another place there
+    on the finest one; None for one that leads to a place that is known."""
+    number, known = _walked_on(solver), [best.camera]
+    if number == solver.finest:
+        yield from _descended(solver, starts)
+        return
+    for found in _descended(solver, starts, number):
+        back = any(separation(solver, found.camera, camera) < RETURNED for camera in known)
+        if back or not np.isfinite(found.view.squares):
+            yield None
+        else:
+            known.append(found.camera)
+            yield from _descended(solver, [found.camera])
 
 
 def _walked_on(solver: Solver) -> int:
     """Return the number of the level that walks are on: an exact mask tells facets apart that
     coarser ones do not show."""
     return solver.finest if solver.kind.exact else solver.far
-
-
-def _variance_on(solver: Solver, best: Found, number: int, view: View) -> float:
-    """`Solver.variance` on a coarser level, where the best camera has a view."""
-    errors, touched = solver.errors(best.view), max(float(view.sums.touched), 1.0)
-    if errors is not None and is_drawn(errors):
-        return view.squares / errors.independent
-    independent = errors.independent if errors is not None else touched
-    return max(view.touched_misfit, _least_on(solver, number)) * max(touched / independent, 1.0)
-
-
-def _least_on(solver: Solver, number: int) -> float:
-    """Return the mean square residual that a mask's kind leaves on a level: means of pixels along
-    an edge err by less."""
-    finest, level = solver.levels[solver.finest], solver.levels[number]
-    return solver.kind.variance * (float(level.scale) / float(finest.scale)) ** 3
 
 
 def _alike(solver: Solver, best: Found) -> list[Found]:
@@ -567,28 +412,18 @@ def _as_good(
     """Return the best, and those seen that are other places and as good: a few, or free
     directions."""
     directions = [at(solver, best, d) for d in directions]
-    sigma = max(min(d.sigma for d in directions), 1e-12)
-    apart = max(APART, SIGMAS * sigma)
+    apart = max(APART, SIGMAS * min(d.sigma for d in directions))
     exact = solver.kind.exact and solver.kind.explains(best.view.touched_misfit, True)
-    times = EQUAL_TIMES if exact else WALK_TIMES
 
     def others(places: list[Found]) -> list[Found]:
         as_good = []
         for place in places:
             far = separation(solver, place.camera, best.camera)
-            # (What the Jacobian foretells so far away is no other place: a descent on its way.)
-            foretold = float(LIKE_FORETOLD * (far / sigma) ** 2)
-            if far > apart and equal_views(solver, place.view, best.view, min(times, foretold)):
+            if far > apart and equal_views(solver, place.view, best.view):
                 as_good.append(place)
         return _distinct(solver, as_good, apart)
 
     equal = others(seen)
-    if exact and 0 < len(equal) < MANY:
-        # Each minimum may be exact: how far is it to the next, and how many follow?
-        pitch = min(separation(solver, p.camera, best.camera) for p in equal)
-        for d in directions:
-            steps = [s * k * pitch for s in (1, -1) for k in range(1, 2 * MANY)]
-            equal = others([*equal, *_strides(solver, best, d, steps)])
     if exact and len(equal) < MANY:
         return Places(best, equal, [])
     return Places(best, [], _intervals(solver, best, equal, directions))
