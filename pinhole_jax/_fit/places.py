@@ -39,6 +39,9 @@ DRAWN_TIMES = 2 * np.log(100)
 #: times as wide as the Jacobian says.
 LOOKED, PROFILE_SIGMAS, PROFILE_RAD = 2, np.array([2.0, 5.0]), np.deg2rad([1, 25])
 PROFILE_STEPS, PROFILE_ENDS, WIDER = 5, 0.02, 1.3
+#: Places along a walk are others if they leave this share of what the Jacobian foretells at their
+#: distance, or less.
+LIKE_FORETOLD = 0.5
 #: Where nothing is nearly free, the weakest direction is walked along if it shows less than this
 #: share of the best-seen one.
 DOUBTFUL = 0.2
@@ -227,10 +230,11 @@ def _best_turned(
     return least
 
 
-def equal_views(solver: Solver, view: View, best: View) -> bool:
-    """True if the mask's own noise allows a view as well as the best."""
+def equal_views(solver: Solver, view: View, best: View, most: float = np.inf) -> bool:
+    """True if the mask's own noise allows a view as well as the best, within so many variances at
+    `most`."""
     times = DRAWN_TIMES if is_drawn(solver.errors(best)) else EQUAL_TIMES
-    allowed = times * solver.variance(best)
+    allowed = min(times, most) * solver.variance(best)
     return bool(_surplus(solver, view) - _surplus(solver, best) <= allowed)
 
 
@@ -412,14 +416,17 @@ def _as_good(
     """Return the best, and those seen that are other places and as good: a few, or free
     directions."""
     directions = [at(solver, best, d) for d in directions]
-    apart = max(APART, SIGMAS * min(d.sigma for d in directions))
+    sigma = max(min(d.sigma for d in directions), 1e-12)
+    apart = max(APART, SIGMAS * sigma)
     exact = solver.kind.exact and solver.kind.explains(best.view.touched_misfit, True)
 
     def others(places: list[Found]) -> list[Found]:
         as_good = []
         for place in places:
             far = separation(solver, place.camera, best.camera)
-            if far > apart and equal_views(solver, place.view, best.view):
+            # (What the Jacobian foretells so far away is no other place: a descent on its way.)
+            foretold = float(LIKE_FORETOLD * (far / sigma) ** 2)
+            if far > apart and equal_views(solver, place.view, best.view, foretold):
                 as_good.append(place)
         return _distinct(solver, as_good, apart)
 
