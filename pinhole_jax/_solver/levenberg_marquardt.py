@@ -41,14 +41,16 @@ class _LevenbergMarquardt(optx.AbstractGaussNewton):
 
     rtol: float
     atol: Any
+    settled: Any
     steps: Any
     norm: Callable
     descent: optx.AbstractDescent
     search: optx.AbstractSearch
     verbose: Callable
 
-    def __init__(self, atol: Any, steps: Any):
-        self.rtol, self.atol, self.steps, self.norm = 0.0, atol, steps, optx.max_norm
+    def __init__(self, atol: Any, settled: Any, steps: Any):
+        self.rtol, self.atol, self.norm = 0.0, atol, optx.max_norm
+        self.settled, self.steps = settled, steps
         self.descent = optx.DampedNewtonDescent(linear_solver=lx.QR())
         self.search = _TrustRegion()
         self.verbose = _silent
@@ -71,8 +73,9 @@ class _LevenbergMarquardt(optx.AbstractGaussNewton):
         state = state.solver
         step = state.y_eval - y
         change = state.f_info.jac.mv(step)
-        cosine = COSINE[np.dtype(step.dtype)]
-        flat = _sum_squares(change) <= cosine**2 * _sum_squares(state.f_info.residual)
+        count = jnp.maximum(state.aux.sums.touched, 1)
+        share = jnp.maximum(COSINE[np.dtype(step.dtype)] ** 2, self.settled**2 / count)
+        flat = _sum_squares(change) <= share * _sum_squares(state.f_info.residual)
         small = jnp.max(jnp.abs(step)) < self.atol
         enough = state.num_steps >= self.steps
         return ~state.first_step & (small | flat | enough), state.result
@@ -114,15 +117,15 @@ class _Static(eqx.Module):
 
 
 @eqx.filter_jit
-def descended(camera: Camera, problem: Problem, level: Level, px, steps, freed, size):
-    """The number of steps until they are shorter than `px` (this many `steps` at most), where the
-    first of them ended, and the look at the end: after one step (which evaluates the start) at the
-    start.
+def descended(camera: Camera, problem: Problem, level: Level, px, settled, steps, freed, size):
+    """The number of steps until they are shorter than `px` or than so many standard errors
+    (`settled`, this many `steps` at most), where the first of them ended, and the look at the end:
+    after one step (which evaluates the start) at the start.
     """
     move = problem.move(camera, level, freed)
     args = (move, problem, level, _Static(freed), _Static(size))
     zero = jnp.zeros(len(components(freed)), problem.pyramid.cells.dtype)
-    solver = _LevenbergMarquardt(px / UNIT_PX, steps)
+    solver = _LevenbergMarquardt(px / UNIT_PX, settled, steps)
     found = optx.least_squares(
         _residual, solver, zero, args, has_aux=True, max_steps=None, throw=False
     )

@@ -22,6 +22,9 @@ FINE_PX = {np.dtype(np.float32): 3e-4, np.dtype(np.float64): 1e-7}
 #: ... or where it would change the residuals by less than this share of their norm: MINPACK's
 #: cosine between residual and Jacobian, some thousandths of the error that noise leaves anyway.
 COSINE = {np.dtype(np.float32): 1e-4, np.dtype(np.float64): 1e-5}
+#: ... or, of a mask that is not exact, by this share of a standard error, were its pixels
+#: independent.
+SETTLED = 0.02
 
 
 class Problem(eqx.Module):

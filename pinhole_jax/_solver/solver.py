@@ -19,7 +19,7 @@ from .looks import Origin, View, size_of_looks
 from .moves import Bounds, Move, moved
 from .outline_errors import OutlineErrors, is_drawn, outline_errors
 from .priors import Others, Prior, no_others
-from .problem import COARSE_PX, FINE_PX, Problem, move_about
+from .problem import COARSE_PX, FINE_PX, SETTLED, Problem, move_about
 from .revolution import Revolution
 from .store import Levels, LevelsKey, Store
 from .subject import Subject
@@ -359,7 +359,8 @@ class Solver:
 
     def _given(self, camera: Camera, level: Level, px: float, steps: int) -> tuple[Any, ...]:
         """What the fit's program is given."""
-        ends = np.asarray(px, self.dtype), np.asarray(steps, np.int32)
+        settled = 0.0 if self.kind.exact else SETTLED
+        ends = *np.asarray([px, settled], self.dtype), np.asarray(steps, np.int32)
         return camera, self.problem, level, *ends, self.freed, size_of_looks(self.levels)
 
     def _further(self, camera: Camera, level: Level, px: float, steps: int):
