@@ -139,7 +139,8 @@ def test_runs_are_the_cheapest_way_round(cheap):
     one[cheap] -= 3
     ways = (np.arange(2**12)[:, None] >> np.arange(12)) % 2
     costs = (1 - ways) @ zero + ways @ one + 1.5 * np.sum(ways != np.roll(ways, 1, axis=1), axis=1)
-    np.testing.assert_array_equal(_cheapest(zero, one, 1.5), ways[np.argmin(costs)] == 1)
+    found = _cheapest(zero[None], one[None], np.array([1.5]))[0]
+    np.testing.assert_array_equal(found, ways[np.argmin(costs)] == 1)
 
 
 def share_left(fit, scene, seen) -> float:

@@ -175,7 +175,7 @@ def test_mask_that_shows_little_is_uncertain(scene):
     shown = drawn(single(small), scene)
     fit = pj.fit_camera(scene, wavy(shown, np.random.default_rng(0), 1.5, 8.0), single(small))
     assert fit.status in ("uncertain", "ambiguous")
-    assert any("degrees (one sigma)" in words for words in fit.weak)
+    assert any("degrees (1 sigma)" in words for words in fit.weak)
 
 
 def test_levels_that_are_off_are_taken_for_0_and_1(image):

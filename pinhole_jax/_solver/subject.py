@@ -37,7 +37,7 @@ class Subject:
         box = np.asarray(bounding_box(scene), float)
         ball = ball_about(box)
         pivot = Ball(*(jnp.asarray(np.asarray(x, dtype), dtype) for x in ball))
-        return cls(scene, _worked_on(scene, dtype), ball, pivot, _corners(box))
+        return cls(scene, _worked_on(scene, np.dtype(dtype)), ball, pivot, _corners(box))
 
     def elsewhere(self, scene: Scene) -> "Subject":
         """Return the subject with its vertices elsewhere; moves are taken as before."""
@@ -103,7 +103,7 @@ def on_film_plane(camera: Camera, points: np.ndarray) -> np.ndarray:
     return np.column_stack([seen[:, :2] * scale + centre * seen[:, 2:], seen[:, 2]])
 
 
-def _worked_on(scene: Scene, dtype: Any) -> Scene:
+def _worked_on(scene: Scene, dtype: np.dtype) -> Scene:
     return padded(astype(scene, dtype))
 
 
