@@ -75,9 +75,10 @@ def fit_camera(
     - `weight`: (H, W), at least 0: how much each pixel counts, 0 where the mask is not to be
       believed (an occluder). 1 / variance, up to a factor. An occluder that is not told is looked
       for where the mask is not explained; `Fit.unbelieved` says what was taken for its edge.
-    - `outlier_px`: how far, in px, an outline that is right may lie from the mask's edge. Farther
-      away, at holes, missing and extra parts, pixels lose their weight: at the end of a fit to a
-      mask that is not exact, so that the rest decides. None: plain least squares.
+    - `outlier_px`: how far, in px, an outline that is right may lie from the mask's edge (farther,
+      where all of the edge wavers by more). Pixels farther away, at holes, missing and extra parts,
+      lose their weight: at the end of a fit to a mask that is not exact, so that the rest decides.
+      None: plain least squares.
     - `prior`: what is known of free parameters beforehand, by the names of `Fit.names` (not of
       rotations): mean and standard deviation, in their units. It is weighed against the mask by the
       residuals that the mask leaves.
