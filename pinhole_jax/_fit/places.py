@@ -161,7 +161,7 @@ def _worth_a_walk(solver: Solver, best: Found) -> list[_Direction]:
 
 
 def equal_views(solver: Solver, view: View, best: View, most: float = np.inf) -> bool:
-    """True if the mask's own noise allows a view as well as the best, within so many variances at
+    """True if the mask's own noise allows a view as well as the best, within this many variances at
     `most`."""
     times = DRAWN_TIMES if is_drawn(solver.errors(best)) else EQUAL_TIMES
     allowed = min(times, most) * solver.variance(best)

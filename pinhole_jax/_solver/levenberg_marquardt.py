@@ -118,7 +118,7 @@ class _Static(eqx.Module):
 
 @eqx.filter_jit
 def descended(camera: Camera, problem: Problem, level: Level, px, settled, steps, freed, size):
-    """The number of steps until they are shorter than `px` or than so many standard errors
+    """The number of steps until they are shorter than `px` or than this share of a standard error
     (`settled`, this many `steps` at most), where the first of them ended, and the look at the end:
     after one step (which evaluates the start) at the start.
     """
