@@ -55,7 +55,6 @@ def joint_problem(
     check_steps(max_steps)
     check_reach(outlier_px)
     _check_views(views)
-    zeros = zeros_of(joint_zeros, views)
     cameras = _checked_cameras(cameras)
     poses, places = _poses("objects", objects), _poses("rig", rig)
     _check_names(views, cameras, poses, places)
@@ -77,8 +76,7 @@ def joint_problem(
         name, mask = view.camera, _checked_mask(k, view, cameras, search, as_given)
         own = subjects[id(view.scene)], mask.target, mask.weight, (POSE, *lens), max_steps
         solver, place = Solver.on(*own, limits[name], *options), places.get(name, np.eye(4))
-        mount, placed = _transforms(k, view)
-        on = owners[name], moving[name], mount, placed, place
+        on = owners[name], moving[name], *_transforms(k, view), place
         eyes.append(Eye(view, mask, solver, *on))
 
     scales = scales_of(prior, views)
@@ -88,7 +86,7 @@ def joint_problem(
         unknowns=_unknowns(freed, owners, moving, parts, [*scales]),
         eyes=eyes,
         priors=priors_of(prior, cameras, freed, eyes, parts, [*scales]),
-        zeros=zeros,
+        zeros=zeros_of(joint_zeros, views),
         start=State(poses, {n: canonical(c) for n, c in cameras.items()}, scales, {}),
         cameras=cameras,
         outlier_px=outlier_px,
@@ -98,10 +96,10 @@ def joint_problem(
     )
 
 
-def _transforms(k: int, view: JointView) -> list[Pose]:
+def _transforms(k: int, view: JointView) -> tuple[Pose, Pose]:
     """Where a view's camera is carried, and its scene placed. Raises ValueError for these."""
-    given = {"mount": view.mount, "placed": view.placed}.items()
-    return [np.eye(4) if x is None else check_pose(f"views[{k}].{n}", x) for n, x in given]
+    pose = lambda name, x: np.eye(4) if x is None else check_pose(f"views[{k}].{name}", x)
+    return pose("mount", view.mount), pose("placed", view.placed)
 
 
 def _unknowns(
