@@ -130,5 +130,5 @@ def test_truth_a_small_step_away_is_off_by_that_step():
     truth = fit.displaced(step)
     np.testing.assert_allclose(calibration.off_by(fit, truth), step, rtol=1e-4)
     values = calibration.used(pj.Scene(mesh=MESH), truth, np.random.default_rng(0))
-    _, squared = calibration.ranks(fit, truth, values)
+    squared = calibration.ranks(fit, truth, values)["squared"]
     np.testing.assert_allclose(squared, step @ np.linalg.solve(fit.covariance, step), rtol=1e-2)
