@@ -1,5 +1,6 @@
 """Pictures of a fit, as arrays (uint8 RGB) and SVG text: the outline with its uncertainty over the
-photo, differences of mask and camera, convergence, the object and the camera in space.
+photo, differences of mask and camera, where the camera's error shows, convergence, the object and
+the camera in space.
 """
 
 from . import contour_points as contour_points, outline as outline
@@ -15,3 +16,4 @@ from .show.outline import (
 )
 from .show.page import Svg as Svg
 from .show.space import scene_view as scene_view
+from .show.trust import Trust as Trust, trust as trust

@@ -65,6 +65,7 @@ def test_page_has_all_sections_and_loads_nothing(text):
     assert page.open == []
     assert [a["id"] for a in page.all("section")] == [
         "outline",
+        "where-the-error-shows",
         "where-mask-and-camera-differ",
         "parameters",
         "correlations",
@@ -76,7 +77,7 @@ def test_page_has_all_sections_and_loads_nothing(text):
     assert page.all("script") == page.all("link") == []
     for a in page.all("img") + page.all("a"):
         assert a.get("src", a.get("href")).startswith("data:")
-    assert text.count("http") == 1  # the name of SVG
+    assert text.count("http") == 2  # the name of SVG
     assert r"part <b>1</b> & \udcffmask" in page.text["header"]
     assert page.all("b") == [{}]
     assert page.all("p")[0]["class"] == "status rank_deficient"

@@ -25,6 +25,7 @@ from .outline import (
 from .page import Html, as_html, document, facts, figure, items, status, table
 from .space import scene_view
 from .table import parameters
+from .trust import trust
 
 #: The file written for each format; all files of a folder are shown.
 FILES = {
@@ -101,8 +102,10 @@ def page(
     }
     pose = formats.object_pose(fit, pixel_centres=pixel_centres)
     seen = "The object, and the camera's frustum up to the object; the tick points up."
+    shown = trust(fit, scene)
     sections = {
         "Outline": _outline(fit, scene, photo),
+        "Where the error shows": figure(shown.picture, f"{shown} The map is of the film, px."),
         "Where mask and camera differ": differs,
         "Parameters": f"{parameters(fit, 'Fitted parameters with standard errors')}<p>Pitch, yaw"
         f" and roll are the camera's in the world. {_assumption(fit)}</p><h3>K, R and t, and the"

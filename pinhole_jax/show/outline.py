@@ -2,6 +2,7 @@
 and sentences.
 """
 
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -42,24 +43,33 @@ def outline_sigma(fit: Fit, scene: Scene) -> Float[np.ndarray, "n"]:
     segments = outline(camera, scene)
     if not known.size or not len(segments):
         return np.zeros(len(segments))
-    variance, axes = np.linalg.eigh(fit.covariance[np.ix_(known, known)])
     place = lambda camera: np.asarray(project(camera, points), float)
     points = np.asarray(contour_points(camera, scene), camera.e.dtype)
     points = points[KDTree(place(camera)).query(segments.mean(axis=1))[1]]
     far = float(np.linalg.norm(np.mean(points - np.asarray(camera.e), axis=0)))
-    large = {"e": far, "d": float(camera.d), "principal": camera.H}
-    small = 1e-3 * np.array([large.get(name.split("_")[0], 1.0) for name in fit.names])
     along = segments[:, 1] - segments[:, 0]
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-30)
     total = np.zeros(len(segments))
+    for change in sigma_moves(fit, place, far):
+        total += (change[:, 0] * along[:, 1] - change[:, 1] * along[:, 0]) ** 2
+    return np.sqrt(total)
+
+
+def sigma_moves(
+    fit: Fit, value: Callable[[Camera], np.ndarray], far: float
+) -> Iterator[np.ndarray]:
+    """Yield the change of a camera's values by one sigma along each principal axis of its
+    covariance, to first order; the object is `far` away (world units)."""
+    known = np.flatnonzero(np.isfinite(fit.std))
+    large = {"e": far, "d": float(fit.camera.d), "principal": fit.camera.H}
+    small = 1e-3 * np.array([large.get(name.split("_")[0], 1.0) for name in fit.names])
+    variance, axes = np.linalg.eigh(fit.covariance[np.ix_(known, known)])
     for size, axis in zip(np.sqrt(np.maximum(variance, 0)), axes.T, strict=True):
         step = np.zeros(len(fit.std))
         step[known] = size * axis
         share = 1 / max(float(np.max(np.abs(step) / small)), 1)  # within the linear range
-        ends = (place(fit.displaced(sign * share * step)) for sign in (1, -1))
-        change = np.subtract(*ends) / 2 / share
-        total += (change[:, 0] * along[:, 1] - change[:, 1] * along[:, 0]) ** 2
-    return np.sqrt(total)
+        ends = (value(fit.displaced(sign * share * step)) for sign in (1, -1))
+        yield np.subtract(*ends) / 2 / share
 
 
 def overlay(

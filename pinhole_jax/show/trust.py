@@ -1,0 +1,147 @@
+"""Where a camera's error shows: over the film (px), on the outline, and at the object."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from .. import Camera, Fit, Scene, outline, project, rays_through
+from .outline import check_fit, outline_sigma, sigma_moves
+from .page import Svg
+from .space import LEAST_COSINE, axes_of
+
+#: The film is divided into about this many fields across, and drawn this wide.
+FIELDS, WIDTH = 48, 560.0
+#: Bands of px, each up to 2 to 2.5 times the last, from dark (well known) to light.
+STEPS = (1.0, 2.0, 5.0)
+COLOURS = ("#123f5a", "#1d6a80", "#3f9487", "#85b86b", "#d3ce5a", "#f4a14a", "#d9542f")
+
+
+class Trust(NamedTuple):
+    """Where a camera's error shows, at one standard error in the worst direction.
+
+    - `film` (n,): px, at `places` (n, 2) on the film (px, y up), for points at the object's depth.
+    - `outline` (m,): px, each segment of the outline across itself, as `outline_sigma`.
+    - `object`: world units, that point of the object before the camera that errs most; `point` (3,)
+      is where it is in the world.
+    - `picture`: the film by bands of px, with the outline.
+
+    Parameters that the mask does not determine are left out.
+    """
+
+    places: Float[np.ndarray, "n 2"]
+    film: Float[np.ndarray, "n"]
+    outline: Float[np.ndarray, "m"]
+    object: float
+    point: Float[np.ndarray, "3"]
+    picture: Svg
+
+    def __str__(self) -> str:
+        """Return it as a sentence."""
+        film, edge = self.film, self.outline
+        place = ", ".join(f"{x:.3g}" for x in self.point)
+        words = (
+            f"One sigma at the object's depth: {np.nanmin(film):.2g} to {np.nanmax(film):.2g} px"
+        )
+        if edge.size:
+            words += f"; across the outline up to {edge.max():.2g} px"
+        return f"{words}; at the object up to {self.object:.2g} units of the mesh, at ({place})."
+
+    def _repr_svg_(self) -> str:
+        return str(self.picture)
+
+
+def trust(fit: Fit, scene: Scene) -> Trust:
+    """Return the places where a camera's error shows: a map of the film, and numbers.
+
+    To first order, from the fit's covariance. Notebooks show the map.
+
+    ```python
+    trust = pj.plot.trust(fit, scene)
+    print(trust)  # "One sigma at the object's depth: ..."
+    ```
+    """
+    check_fit(fit)
+    camera, axes = fit.camera, axes_of(fit.camera)
+    eye, points = np.asarray(camera.e, float), _points(scene)
+    depth = float(np.mean((points - eye) @ axes[2]))
+    side = camera.W / FIELDS
+    columns, rows = FIELDS, max(round(camera.H / side), 1)
+    row, column = np.indices((rows, columns)).reshape(2, -1)
+    places = np.stack([column + 0.5, row + 0.5], axis=1) * [camera.W / columns, camera.H / rows]
+    rays = np.asarray(rays_through(camera, places).direction, float)
+    on_plane = eye + depth * rays / np.maximum(rays @ axes[2], LEAST_COSINE)[:, None]
+    on_film = lambda c: np.asarray(project(c, on_plane), float)
+    before = lambda c: (points - np.asarray(c.e, float)) @ axes_of(c).T
+    film, spread = (_worst(fit, value, depth) for value in (on_film, before))
+    farthest = int(np.nanargmax(spread))
+    across = outline_sigma(fit, scene)
+    picture = _picture(camera, film.reshape(rows, columns), outline(camera, scene))
+    return Trust(places, film, across, float(spread[farthest]), points[farthest], picture)
+
+
+def _points(scene: Scene) -> np.ndarray:
+    """The points (n, 3) of an object: vertices of faces, and the ends of spheres' boxes."""
+    found = [np.zeros((0, 3))]
+    if scene.mesh is not None:
+        used = np.unique(np.asarray(scene.mesh.faces))
+        found.append(np.asarray(scene.mesh.vertices, float)[used])
+    if scene.spheres is not None:
+        centres, radii = (
+            np.asarray(x, float) for x in (scene.spheres.centers, scene.spheres.radii)
+        )
+        sides = np.concatenate([np.eye(3), -np.eye(3)])
+        found.append((centres[:, None] + radii[:, None, None] * sides).reshape(-1, 3))
+    return np.concatenate(found)
+
+
+def _worst(fit: Fit, value: Callable[[Camera], np.ndarray], depth: float) -> np.ndarray:
+    """One sigma (n,) of a camera's values (n, k), in the direction where it is largest; NaN where a
+    lens does not reach."""
+    moves = [*sigma_moves(fit, value, abs(depth)), 0 * value(fit.camera)]
+    each = np.stack(moves, axis=-1)
+    result, known = np.full(len(each), np.nan), np.all(np.isfinite(each), axis=(1, 2))
+    result[known] = np.linalg.norm(each[known], ord=2, axis=(1, 2))
+    return result
+
+
+def _bands(sigma: np.ndarray) -> list[float]:
+    """The upper ends of bands (px), at most as many as there are colours."""
+    least = max(float(sigma.min()), float(sigma.max()) * 1e-3, 1e-9)
+    powers = range(int(np.floor(np.log10(least))), 12)
+    ends = [step * 10.0**power for power in powers for step in STEPS]
+    ends = [end for end in ends if end > least]
+    last = next((k for k, end in enumerate(ends) if end >= sigma.max()), 0)
+    return ends[max(last + 1 - len(COLOURS), 0) : last + 1]
+
+
+def _picture(camera: Camera, sigma: np.ndarray, lines: np.ndarray) -> Svg:
+    """The film in bands, the outline upon it, and a legend."""
+    rows, columns = sigma.shape
+    scale, ends = WIDTH / camera.W, _bands(sigma[np.isfinite(sigma)])
+    side, height = WIDTH / columns, camera.H * scale
+    high = height / rows
+    band = np.minimum(np.searchsorted(ends, sigma), len(ends) - 1)
+    parts = [
+        f'<rect x="{j * side:.1f}" y="{height - (i + 1) * high:.1f}" width="{side + 0.5:.1f}"'
+        f' height="{high + 0.5:.1f}" fill="{COLOURS[band[i, j]]}"/>'
+        for i, j in np.argwhere(np.isfinite(sigma))
+    ]
+    shown = lines * [scale, -scale] + [0, height]
+    ways = " ".join(f"M{a:.1f} {b:.1f}L{c:.1f} {d:.1f}" for (a, b), (c, d) in shown.tolist())
+    fields = len(parts)
+    for colour, width in (("#fff", 3), ("#000", 1.2)):
+        parts.append(f'<path d="{ways}" stroke="{colour}" stroke-width="{width}" fill="none"/>')
+    wide = WIDTH / len(COLOURS)
+    for k, end in enumerate(ends):
+        box = f'x="{k * wide:.1f}" y="{height + 10:.1f}" width="14" height="14"'
+        words = f'<text x="{k * wide + 19:.1f}" y="{height + 22:.1f}">'
+        parts.append(f'<rect {box} fill="{COLOURS[k]}"/>{words}{end:.3g} px</text>')
+    return Svg(
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH:g} {height + 30:.0f}"'
+        ' role="img" aria-label="one sigma over the film, px" font-family="sans-serif"'
+        f' font-size="12"><clipPath id="film"><rect width="{WIDTH:g}" height="{height:.1f}"/>'
+        f'</clipPath><g clip-path="url(#film)">{"".join(parts[: fields + 2])}</g>'
+        f"{''.join(parts[fields + 2 :])}</svg>"
+    )

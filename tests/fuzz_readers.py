@@ -1,0 +1,198 @@
+"""Damaged files for each reader: a `ValueError` that names what is wrong, 5 s and 1 GB at most.
+
+    python tests/fuzz_readers.py --seconds 60 [--seed 0] [--only obj,nerf]
+
+Valid files are damaged byte by byte and word by word. A worker reads them within a limit of memory;
+a bell rings after 5 s of the processor. Prints how many each reader took, and each input that broke
+the contract; then it ends with 1.
+"""
+
+import argparse
+import json
+import re
+import resource
+import signal
+import sys
+import tempfile
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import trimesh
+
+import pinhole_jax as pj
+
+GB, SECONDS = 1 << 30, 5.0
+WORDS = [
+    b"nan",
+    b"-1",
+    b"0",
+    b"1e400",
+    b"99999999999",
+    b"",
+    b"-",
+    b"null",
+    b"[]",
+    b"{}",
+    b"'",
+    b"\xff",
+]
+TOKEN = re.compile(rb"[\w.+-]+|[^\w\s]")
+CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
+URDF = b"""<robot name="r"><link name="a"><visual><geometry><box size="1 1 1"/></geometry></visual>
+</link><link name="b"/><joint name="j" type="revolute"><parent link="a"/><child link="b"/>
+<axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
+DAE = ("<COLLADA xmlns='http://www.collada.org/2005/11/COLLADASchema' version='1.4.1'>"
+       "<library_geometries><geometry id='g'><mesh><source id='p'><float_array id='f' count='12'>"
+       "0 0 0 1 0 0 0 1 0 0 0 1</float_array><technique_common><accessor source='#f' count='4'"
+       " stride='3'/></technique_common></source><vertices id='v'><input semantic='POSITION'"
+       " source='#p'/></vertices><triangles count='4'><input semantic='VERTEX' source='#v'"
+       " offset='0'/><p>0 2 1 0 1 3 1 2 3 0 3 2</p></triangles></mesh></geometry>"
+       "</library_geometries></COLLADA>")  # fmt: skip
+
+
+class Target(NamedTuple):
+    """A reader: the name of its file, how to read one, and a valid one."""
+
+    file: str
+    read: Callable[[Path], Any]
+    valid: bytes
+
+
+def targets(folder: Path) -> dict[str, Target]:
+    """All readers by name."""
+    found, box = {}, trimesh.creation.box()
+    for kind in ("obj", "ply", "stl", "off", "glb"):
+        data: Any = box.export(file_type=kind)
+        data = data if isinstance(data, bytes) else data.encode()
+        found[kind] = Target(f"mesh.{kind}", pj.load_mesh, data)
+    found["dae"] = Target("mesh.dae", pj.load_mesh, DAE.encode())
+    found["urdf"] = Target("robot.urdf", pj.robots.load_urdf, URDF)
+    files = {"json": "camera.json", "opencv": "camera.yaml", "nerf": "transforms.json",
+             "blender": "blender.json", "gltf": "camera.gltf", "pytorch3d": "pytorch3d.json",
+             "mitsuba": "camera.xml"}  # fmt: skip
+    read = lambda name: lambda path: pj.formats.read(path, name)
+    for name, file in files.items():
+        pj.formats.write(folder / file, {"camera": CAMERA}, name)
+        found[name] = Target(file, read(name), (folder / file).read_bytes())
+    for name, ending in (("colmap", "txt"), ("colmap-binary", "bin")):
+        pj.formats.write(folder / name, {"camera": CAMERA}, name)
+        for part in ("cameras", "images"):
+            path = folder / name / f"{part}.{ending}"
+            reads = lambda path, name=name: pj.formats.read(path.parent, name)
+            found[f"{name} {part}"] = Target(
+                str(path.relative_to(folder)), reads, path.read_bytes()
+            )
+    mask = np.asarray(pj.silhouette(CAMERA, pj.Scene(mesh=pj.shapes.bumpy(1))))
+    for ending in ("png", "tiff", "bmp", "webp", "pgm"):
+        pj.io.save_image(folder / f"mask.{ending}", mask)
+        data = (folder / f"mask.{ending}").read_bytes()
+        found[ending] = Target(f"mask.{ending}", pj.io.load_mask, data)
+    rle = json.dumps({"size": [80, 96], "counts": [100, 20, 7560]}).encode()
+    found["rle"] = Target(
+        "rle.json", lambda path: pj.io.mask_of_rle(json.loads(path.read_bytes())), rle
+    )
+    return found
+
+
+def damaged(data: bytes, random: np.random.Generator) -> bytes:
+    """The bytes with one to four wounds."""
+    for _ in range(random.integers(1, 5)):
+        at, end = np.sort(random.integers(0, len(data) + 1, 2))
+        kind = random.integers(6)
+        if kind == 0:
+            data = data[:at]
+        elif kind == 1 and end - at < 200:
+            data = data[:at] + data[end:]
+        elif kind == 2:
+            data = (
+                data[:at] + data[at : min(end, at + 200)] * int(random.integers(2, 9)) + data[at:]
+            )
+        elif kind == 3:
+            data = data[:at] + bytes(random.integers(0, 256, 4, dtype=np.uint8)) + data[at + 4 :]
+        elif tokens := list(TOKEN.finditer(data)):
+            token, word = tokens[random.integers(len(tokens))], WORDS[random.integers(len(WORDS))]
+            data = data[: token.start()] + word + data[token.end() :]
+    return data
+
+
+class SlowError(BaseException):
+    """Raised by the bell."""
+
+
+def ring(*_: Any) -> None:
+    raise SlowError(f"takes more than {SECONDS} s")
+
+
+def broken(target: Target, path: Path) -> BaseException | None:
+    """The error that a reader's contract does not allow, if there is one."""
+    signal.setitimer(signal.ITIMER_PROF, SECONDS)
+    try:
+        target.read(path)
+    except ValueError as error:
+        return None if "`" in str(error) and type(error) is ValueError else error
+    except OSError:
+        return None
+    except BaseException as error:
+        return error
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
+    return None
+
+
+def fuzzed(
+    target: Target, path: Path, random: np.random.Generator, seconds: float
+) -> Iterator[BaseException | None]:
+    """Yield what is wrong with each of a target's damaged files."""
+    end = time.process_time() + seconds
+    while time.process_time() < end:
+        path.write_bytes(damaged(target.valid, random))
+        yield broken(target, path)
+
+
+def limit_memory() -> None:
+    """Let this process have one more GB."""
+    size = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (size + GB, size + GB))
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=60, help="of the processor, in all")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", type=lambda names: names.split(","), default=None)
+    parser.add_argument("--keep", type=Path, help="a folder for the inputs that broke something")
+    asked = parser.parse_args()
+    signal.signal(signal.SIGPROF, ring)
+    wrong = 0
+    with tempfile.TemporaryDirectory() as name:
+        known = targets(Path(name))
+        names = [name for name in known if asked.only is None or name in asked.only]
+        limit_memory()
+        for kind in names:
+            target, seen, count = known[kind], set(), 0
+            path, random = Path(name) / target.file, np.random.default_rng(asked.seed)
+            for error in fuzzed(target, path, random, asked.seconds / len(names)):
+                count += 1
+                if error is None:
+                    continue
+                frame = traceback.extract_tb(error.__traceback__)[-1]
+                if (place := (type(error), frame.filename, frame.lineno)) in seen:
+                    continue
+                seen.add(place)
+                where = f"{Path(frame.filename).name}:{frame.lineno}"
+                print(f"{kind}, input {count}: {type(error).__name__} at {where}: {error}")
+                if asked.keep:
+                    asked.keep.mkdir(exist_ok=True)
+                    (asked.keep / f"{kind}_{count}").write_bytes(path.read_bytes())
+            path.write_bytes(target.valid)
+            wrong += len(seen)
+            print(f"{kind}: {count} inputs, {len(seen)} kinds of wrong errors", flush=True)
+    return int(wrong > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,62 @@
+"""Where a camera's error shows: by hand for single moves, by draws for all together."""
+
+import re
+
+import numpy as np
+import pytest
+
+import pinhole_jax as pj
+from pinhole_jax import plot
+
+CAMERA = pj.Camera([0, 0, 5.0], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 96, 80)
+SCENE = pj.Scene(mesh=pj.shapes.bumpy(2))
+NAMES = ("rotation_b1", "rotation_b2", "rotation_v", "e_x", "e_y", "e_z", "phi")
+
+
+def fit_at(names, covariance):
+    std = np.sqrt(np.diagonal(covariance))
+    return pj.Fit(CAMERA, "converged", names, covariance, std, 0.0, 1.0, (1,), ())
+
+
+def test_roll_shows_by_the_distance_from_the_middle():
+    trust = plot.trust(fit_at(("rotation_v",), np.array([[1e-6]])), SCENE)
+    radius = np.linalg.norm(trust.places - [48, 40], axis=1)
+    np.testing.assert_allclose(trust.film, 1e-3 * radius, rtol=1e-4)
+    vertices = np.asarray(SCENE.mesh.vertices)
+    assert trust.object == pytest.approx(1e-3 * np.hypot(*vertices[:, :2].T).max(), rel=1e-4)
+    np.testing.assert_allclose(trust.point, vertices[np.hypot(*vertices[:, :2].T).argmax()])
+
+
+def test_shift_shows_alike_at_one_depth():
+    trust = plot.trust(fit_at(("e_x",), np.array([[1e-4]])), SCENE)
+    depth = 5 - np.asarray(SCENE.mesh.vertices)[:, 2].mean()
+    px = 0.01 * 40 / np.tan(0.3) / depth
+    np.testing.assert_allclose(trust.film, px, rtol=1e-4)
+    assert trust.object == pytest.approx(0.01, rel=1e-4)
+
+
+def test_errors_together_are_those_of_draws():
+    random = np.random.default_rng(0)
+    mix = random.normal(size=(7, 7)) * 1e-3
+    fit = fit_at(NAMES, mix @ mix.T)
+    trust = plot.trust(fit, SCENE)
+    worst = int(np.argmin(np.linalg.norm(np.asarray(SCENE.mesh.vertices) - trust.point, axis=1)))
+    points = []
+    for _ in range(300):
+        camera = fit.displaced(mix @ random.normal(size=7))
+        axes = np.stack([np.asarray(axis) for axis in pj.camera_basis(camera)])
+        points.append(axes @ (np.asarray(SCENE.mesh.vertices)[worst] - np.asarray(camera.e)))
+    spread = np.sqrt(np.linalg.eigvalsh(np.cov(np.transpose(points)))[-1])
+    assert trust.object == pytest.approx(spread, rel=0.15)
+
+
+def test_picture_names_its_bands_and_stays_with_what_is_determined():
+    lost = np.diag([np.inf, 1e-6])
+    trust = plot.trust(fit_at(("rotation_b1", "rotation_v"), lost), SCENE)
+    assert np.all(np.isfinite(trust.film))
+    bands = [float(x) for x in re.findall(r">([\d.e-]+) px</text>", trust._repr_svg_())]
+    assert bands == sorted(bands)
+    assert bands[-1] >= trust.film.max()
+    assert "units of the mesh" in str(trust)
+    nothing = plot.trust(fit_at(("rotation_b1",), np.array([[np.inf]])), SCENE)
+    assert nothing.object == 0
