@@ -143,6 +143,12 @@ def no_compiler(session: nox.Session) -> None:
 
 
 @here
+def fuzz(session: nox.Session) -> None:
+    """Damaged files for each reader of meshes, cameras, robots and masks, a minute in all."""
+    session.run("python", "tests/fuzz_readers.py", "--seconds", "60", *session.posargs)
+
+
+@here
 def first_use(session: nox.Session) -> None:
     """A newcomer's first steps with the sdist and the wheel."""
     folder = f"{session.create_tmp()}/first"
