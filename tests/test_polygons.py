@@ -7,7 +7,7 @@ import pytest
 import shapely
 from scipy.spatial.transform import Rotation
 
-from pinhole_jax._mesh_files import Polygons, triangulated
+from pinhole_jax._mesh_files import Polygons, triangulate
 
 
 def blob(n, seed=0, spread=0.5):
@@ -36,7 +36,7 @@ def in_space(corners, place=((1, 0, 0), (0, 1, 0), (0, 0, 1))):
 
 def cut(space):
     """Return the triangles of one polygon."""
-    return triangulated(Polygons(space, np.arange(len(space)), np.array([len(space)])))
+    return triangulate(Polygons(space, np.arange(len(space)), np.array([len(space)])))
 
 
 SHAPES = {
@@ -128,7 +128,7 @@ def test_many_faces_keep_their_order_and_their_corners():
     random = np.random.default_rng(0)
     order = random.permutation(len(points))  # a face's corners lie anywhere
     corners = np.argsort(order)
-    triangles = triangulated(Polygons(points[order], corners, np.array([*map(len, shapes)])))
+    triangles = triangulate(Polygons(points[order], corners, np.array([*map(len, shapes)])))
     centres = points[order][triangles].mean(axis=1)
     owner = np.floor((centres[:, 0] + 3) / 10).astype(int)
     assert np.all(np.diff(owner) >= 0)
@@ -159,7 +159,7 @@ def test_quads_that_are_not_flat_are_cut_so_that_both_halves_face_their_way():
 def test_sides_that_cross_are_refused(corners):
     space = in_space(corners)
     with pytest.raises(ValueError, match="face 2: its sides cross"):
-        triangulated(Polygons(space, np.r_[:3, : len(space)], np.array([3, len(space)])))
+        triangulate(Polygons(space, np.r_[:3, : len(space)], np.array([3, len(space)])))
 
 
 def test_two_million_corners_are_cut_in_seconds_or_refused():

@@ -36,7 +36,7 @@ STREAMS = {
 NO_WAIT = getattr(os, "O_NONBLOCK", 0)
 
 
-def path_of(path: Any) -> Path:
+def as_path(path: Any) -> Path:
     """Return a path, or raise ValueError where the value is none."""
     try:
         if isinstance(path, str) and not path:
@@ -48,27 +48,27 @@ def path_of(path: Any) -> Path:
 
 def file_and_name(path: Any) -> tuple[Path, str | None]:
     """Return the path and the name of FILE:NAME, or a path and None."""
-    file = path_of(path)
+    file = as_path(path)
     if file.exists() or ":" not in file.name:
         return file, None
     head, _, name = str(path).rpartition(":")
-    return path_of(head), name
+    return as_path(head), name
 
 
 def is_folder(path: Any) -> bool:
     """Tell if there is a folder at a path; there is none at a path that no system takes."""
     try:
-        return path_of(path).is_dir()
+        return as_path(path).is_dir()
     except OSError:
         return False
 
 
-def existing(path: Any, kind: str, most: int | None = None) -> Path:
+def existing_file(path: Any, kind: str, most: int | None = None) -> Path:
     """Return the path of a regular file to read, of at most this many bytes.
 
     Raises FileNotFoundError, or ValueError where it is no regular file, too large or out of reach.
     """
-    file = path_of(path)
+    file = as_path(path)
     try:
         with _refusal(path, kind, FileNotFoundError):  # no permission, a name too long, a zero byte
             _check_regular(os.stat(file), most)
@@ -78,12 +78,12 @@ def existing(path: Any, kind: str, most: int | None = None) -> Path:
     return file
 
 
-def opened(path: Any, kind: str, most: int | None = MOST_BYTES) -> BinaryIO:
+def open_file(path: Any, kind: str, most: int | None = MOST_BYTES) -> BinaryIO:
     """Return a regular file, open for reading.
 
-    Raises FileNotFoundError or ValueError like `existing`.
+    Raises FileNotFoundError or ValueError like `existing_file`.
     """
-    file = existing(path, kind, most)
+    file = existing_file(path, kind, most)
     with _refusal(path, kind):
         stream = os.fdopen(os.open(file, os.O_RDONLY | NO_WAIT), "rb")
         try:
@@ -95,8 +95,8 @@ def opened(path: Any, kind: str, most: int | None = MOST_BYTES) -> BinaryIO:
 
 
 def read_bytes(path: Any, kind: str, most: int = MOST_BYTES) -> bytes:
-    """Return a file's contents, or raise as `existing`."""
-    with opened(path, kind, most) as stream, _refusal(path, kind):
+    """Return a file's contents, or raise as `existing_file`."""
+    with open_file(path, kind, most) as stream, _refusal(path, kind):
         data = stream.read(most + 1)
         if len(data) > most:  # one that grows, or does not tell its size
             raise ValueError(f"more than {most} bytes")
@@ -104,11 +104,11 @@ def read_bytes(path: Any, kind: str, most: int = MOST_BYTES) -> bytes:
 
 
 def read_text(path: Any, kind: str) -> str:
-    """Return a text file's contents, or raise as `existing`, and where it is not UTF-8."""
-    return text_of(read_bytes(path, kind), path)
+    """Return a text file's contents, or raise as `existing_file`, and where it is not UTF-8."""
+    return decode_text(read_bytes(path, kind), path)
 
 
-def text_of(data: bytes, path: Any, kind: str = "text") -> str:
+def decode_text(data: bytes, path: Any, kind: str = "text") -> str:
     """Return the text of a file's bytes, or raise ValueError where they are not UTF-8."""
     try:
         return data.decode("utf-8-sig")
@@ -117,8 +117,8 @@ def text_of(data: bytes, path: Any, kind: str = "text") -> str:
 
 
 def read_json(path: Any, kind: str) -> Any:
-    """Return the data of a JSON file, or raise as `existing` and `parse_json`."""
-    return parse_json(text_of(read_bytes(path, kind), path, "JSON"), path)
+    """Return the data of a JSON file, or raise as `existing_file` and `parse_json`."""
+    return parse_json(decode_text(read_bytes(path, kind), path, "JSON"), path)
 
 
 def parse_json(text: str, path: Any, kind: str = "JSON") -> Any:
@@ -138,7 +138,7 @@ def parse_json(text: str, path: Any, kind: str = "JSON") -> Any:
 
 def is_stream(path: Any) -> bool:
     """Tell if a path is a pipe or one of this process's own streams."""
-    return _stream_number(path_of(path)) is not None or _kind(path_of(path)) == "a pipe"
+    return _stream_number(as_path(path)) is not None or _kind(as_path(path)) == "a pipe"
 
 
 def replace_file(path: Any, data: bytes | Iterable[bytes], *, lasting: bool = False) -> None:
@@ -150,7 +150,7 @@ def replace_file(path: Any, data: bytes | Iterable[bytes], *, lasting: bool = Fa
 
     Raises ValueError for folders, devices and sockets, and for what cannot be written.
     """
-    target, data = path_of(path), [data] if isinstance(data, bytes) else data
+    target, data = as_path(path), [data] if isinstance(data, bytes) else data
     with _refusal(path, "a file to write"):
         if is_stream(target):
             _write_through(target, data)
@@ -162,7 +162,7 @@ def replace_file(path: Any, data: bytes | Iterable[bytes], *, lasting: bool = Fa
 def check_writable(path: Any) -> None:
     """Raise ValueError, as `replace_file` would, where a file cannot be written: folders are made
     and a file is written there, and both are removed again."""
-    target = path_of(path)
+    target = as_path(path)
     with _refusal(path, "a file to write"):
         if is_stream(target):
             return

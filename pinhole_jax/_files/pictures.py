@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from .exif import upright
-from .paths import opened, reason
+from .paths import open_file, reason
 
 #: A PIL.Image.Image; Pillow is imported where a file is read.
 Image = Any
@@ -33,7 +33,7 @@ def from_picture(path: Any, kind: str, read: Callable[[Image], Any]) -> Any:
     """
     from PIL import Image
 
-    with opened(path, "an image file", MOST_BYTES) as stream:
+    with open_file(path, "an image file", MOST_BYTES) as stream:
         try:
             # What Pillow warns of (sizes it would still read, odd metadata) is no harm here.
             with warnings.catch_warnings(action="ignore"):

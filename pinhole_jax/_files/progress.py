@@ -30,7 +30,7 @@ def say(words: object) -> None:
 
 
 @contextmanager
-def _heard_by(listener: Callable[[str], Any]) -> Iterator[None]:
+def _listening(listener: Callable[[str], Any]) -> Iterator[None]:
     token = _listener.set(listener)
     try:
         yield
@@ -50,7 +50,7 @@ def shown(
         words = f"expected True, False, None or a function, got {progress!r}"
         raise ValueError(f"`progress`: {words}")
     if callable(progress) or progress is False:
-        with _heard_by(lambda words: None):
+        with _listening(lambda words: None):
             yield progress or None
     elif _listener.get() is not None:
         yield say

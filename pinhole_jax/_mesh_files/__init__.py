@@ -8,11 +8,11 @@ from pathlib import Path
 
 from .._files.paths import read_bytes
 from .dae import read_dae
-from .gltf import MOST_BYTES
 from .obj import read_obj
 from .off import read_off
+from .plain_gltf import MOST_BYTES
 from .ply import read_ply
-from .polygons import Polygons as Polygons, triangulated as triangulated
+from .polygons import Polygons as Polygons, triangulate as triangulate
 from .scenes import read_scene
 
 READERS = {".dae": read_dae, ".obj": read_obj, ".off": read_off, ".ply": read_ply}

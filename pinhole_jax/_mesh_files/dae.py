@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from .polygons import Polygons, assembled
+from .polygons import Polygons, merge
 
 #: What makes no shape and may be broken, and shapes that are not read.
 NO_SHAPE = ("animations", "cameras", "effects", "images", "lights", "materials")
@@ -52,7 +52,7 @@ def read_dae(data: bytes) -> Polygons:
         raise ValueError("no <scene>")
 
     scale = np.diag([metres, metres, metres, 1])
-    return assembled(
+    return merge(
         (_polygons(primitive), scale @ place)
         for geometry, place in _instances(document.scene.nodes)
         for primitive in geometry.primitives

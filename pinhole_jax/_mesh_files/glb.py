@@ -22,7 +22,7 @@ def json_size(head: bytes, size: int) -> int | None:
     return length
 
 
-def glb_of(text: bytes, rest: bytes = b"") -> bytes:
+def pack_glb(text: bytes, rest: bytes = b"") -> bytes:
     """Return the binary file of some JSON and the chunks that follow it."""
     text += b" " * (-len(text) % 4)
     size = HEAD.size + len(text) + len(rest)

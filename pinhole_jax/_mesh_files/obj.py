@@ -7,8 +7,8 @@ import re
 
 import numpy as np
 
+from .numbers import COMMENT, parse_numbers, parse_points, strip_mark, word_counts
 from .polygons import Polygons
-from .text import COMMENT, counts_of, numbers_of, points_of, unmarked
 
 #: Statements that add faces which are not read here.
 OTHER_SHAPES = (b"surf", b"call", b"csh", b"bzp", b"bsp", b"cdc", b"cdp", b"res")
@@ -19,7 +19,7 @@ def read_obj(data: bytes) -> Polygons:
 
     Raises ValueError for vertices or faces that are no numbers, the index 0, and curved surfaces.
     """
-    data = unmarked(data)
+    data = strip_mark(data)
     if b"#" in data:
         data = COMMENT.sub(b"", data)
     if b"\\" in data:
@@ -31,18 +31,18 @@ def read_obj(data: bytes) -> Polygons:
 
     vertices = [line[2:] for line in lines if line.startswith((b"v ", b"v\t"))]
     faces = [line[2:] for line in lines if line.startswith((b"f ", b"f\t"))]
-    counts = counts_of(faces)
+    counts = word_counts(faces)
     text = b"\n".join(faces)
     if b"/" in text:
         text = re.sub(rb"/\S*", b"", text)  # textures and normals
 
-    corners = numbers_of(text, int, "faces", int(np.sum(counts)))
+    corners = parse_numbers(text, int, "faces", int(np.sum(counts)))
     if np.any(corners == 0):
         raise ValueError("a face with the vertex 0; they are counted from 1")
     if np.any(corners < 0):
         back = np.repeat(_vertices_before_faces(lines), counts)
         corners = np.where(corners < 0, corners + back + 1, corners)
-    return Polygons(points_of(vertices), corners - 1, counts)
+    return Polygons(parse_points(vertices), corners - 1, counts)
 
 
 def _vertices_before_faces(lines: list[bytes]) -> np.ndarray:

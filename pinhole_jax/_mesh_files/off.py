@@ -4,8 +4,16 @@ import re
 
 import numpy as np
 
+from .numbers import (
+    COMMENT,
+    gather_runs,
+    parse_numbers,
+    parse_points,
+    strip_mark,
+    to_integers,
+    word_counts,
+)
 from .polygons import Polygons
-from .text import COMMENT, counts_of, numbers_of, points_of, taken, unmarked, whole
 
 HEADER = re.compile(rb"\s*((?:ST)?C?N?)(4?n?)OFF\b[ \t]*(BINARY)?|\s*(?=\d)|\s*OFF(?=\d)")
 
@@ -16,13 +24,13 @@ def read_off(data: bytes) -> Polygons:
     Raises ValueError for binary files, vertices of other than three dimensions, and fewer vertices
     or faces than the header says.
     """
-    header = HEADER.match(data := COMMENT.sub(b"", unmarked(data)))
+    header = HEADER.match(data := COMMENT.sub(b"", strip_mark(data)))
     if not header:
         raise ValueError("no OFF at its beginning")
     if header[2] or header[3]:
         raise ValueError(f"{header[0].decode().strip()}: only text and three dimensions are read")
     lines = [line for line in data[header.end() :].splitlines() if line.strip()]
-    sizes = numbers_of(lines[0] if lines else b"", int, "the line of counts")
+    sizes = parse_numbers(lines[0] if lines else b"", int, "the line of counts")
     if sizes.size < 2 or np.any(sizes[:2] < 0):
         raise ValueError("expected the numbers of vertices and faces first, got no such numbers")
 
@@ -32,19 +40,19 @@ def read_off(data: bytes) -> Polygons:
             f"expected {vertices} vertices and {faces} faces as its header says, got"
             f" {len(lines) - 1} lines"
         )
-    points = points_of(lines[1 : 1 + vertices])
+    points = parse_points(lines[1 : 1 + vertices])
     return _faces(points, lines[1 + vertices : 1 + vertices + faces])
 
 
 def _faces(points: np.ndarray, lines: list[bytes]) -> Polygons:
     """Return polygons of lines: a number of corners, as many vertices, then perhaps a colour."""
-    words = counts_of(lines)
-    numbers = numbers_of(b"\n".join(lines), float, "faces", int(np.sum(words)))
+    words = word_counts(lines)
+    numbers = parse_numbers(b"\n".join(lines), float, "faces", int(np.sum(words)))
     starts = np.cumsum(words) - words
-    counts = whole(numbers[starts], "the numbers of corners")
+    counts = to_integers(numbers[starts], "the numbers of corners")
     wrong = (counts < 0) | (counts >= words)
     if np.any(wrong):
         k = int(np.argmax(wrong))
         raise ValueError(f"face {k + 1}: {counts[k]} corners in a line of {words[k]} numbers")
-    corners = taken(numbers, starts + 1, counts)
-    return Polygons(points, whole(corners, "faces"), counts)
+    corners = gather_runs(numbers, starts + 1, counts)
+    return Polygons(points, to_integers(corners, "faces"), counts)

@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .polygons import Polygons, strips_cut
-from .text import numbers_of, taken, unmarked, whole
+from .numbers import gather_runs, parse_numbers, strip_mark, to_integers
+from .polygons import Polygons, cut_strips
 
 #: What the header calls a type, and NumPy.
 TYPES = {
@@ -51,7 +51,7 @@ def read_ply(data: bytes) -> Polygons:
     """
     elements, order, body = _header(data)
     if order == "=":
-        body = numbers_of(body, float, "the rows").tobytes()
+        body = parse_numbers(body, float, "the rows").tobytes()
 
     end, tables = 0, {}
     for element in elements:
@@ -61,14 +61,14 @@ def read_ply(data: bytes) -> Polygons:
 
     points = _points(tables.get("vertex", {}))
     faces = _corners(tables.get("face"), "face")
-    triangles = strips_cut(*_corners(tables.get("tristrips"), "tristrips"))
+    triangles = cut_strips(*_corners(tables.get("tristrips"), "tristrips"))
     corners = np.concatenate([faces.values, triangles.ravel()])
     return Polygons(points, corners, np.concatenate([faces.counts, np.full(len(triangles), 3)]))
 
 
 def _header(data: bytes) -> tuple[list[Element], str, bytes]:
     """Return the tables that follow, their byte order, and their bytes."""
-    data = unmarked(data)
+    data = strip_mark(data)
     end = re.match(rb"ply[ \t]*(\r\n|\n|\r)", data)
     if not end:
         raise ValueError("no ply at its beginning")
@@ -126,7 +126,7 @@ def _table(element: Element, body: bytes, start: int, order: str) -> tuple[dict[
         rows.append(row)
     octets, columns = np.frombuffer(body, np.uint8), {}
     for p, (places, lengths) in zip(properties, np.transpose(rows, (1, 2, 0)), strict=True):
-        values = taken(octets, places, lengths * int(p.kind[1])).view(order + p.kind)
+        values = gather_runs(octets, places, lengths * int(p.kind[1])).view(order + p.kind)
         columns[p.name] = Lists(values, lengths)
     return columns, end
 
@@ -192,4 +192,4 @@ def _corners(table: dict[str, Lists] | None, name: str) -> Lists:
             f"expected {CORNERS[0]!r} in {name!r}, got {', '.join(table) or 'nothing'}"
         )
     values, counts = found[0]
-    return Lists(whole(values, CORNERS[0]), counts)
+    return Lists(to_integers(values, CORNERS[0]), counts)

@@ -34,7 +34,7 @@ class Polygons(NamedTuple):
     counts: Int[np.ndarray, "F"]
 
 
-def assembled(parts: Iterable[tuple[Polygons, np.ndarray]]) -> Polygons:
+def merge(parts: Iterable[tuple[Polygons, np.ndarray]]) -> Polygons:
     """Return parts as one, each moved to its place (4, 4); a mirror turns its polygons round.
 
     Raises ValueError for corners that a part does not have, and for more than `MOST_CORNERS`.
@@ -58,7 +58,7 @@ def assembled(parts: Iterable[tuple[Polygons, np.ndarray]]) -> Polygons:
     return Polygons(np.concatenate(points), *joined)
 
 
-def triangulated(polygons: Polygons) -> Int[np.ndarray, "T 3"]:
+def triangulate(polygons: Polygons) -> Int[np.ndarray, "T 3"]:
     """Return the polygons' triangles in the order of the polygons, as indices of points.
 
     Faces of fewer than three corners cover nothing and are left out, as are triangles that name a
@@ -93,7 +93,7 @@ def triangulated(polygons: Polygons) -> Int[np.ndarray, "T 3"]:
     return _without_joints(np.concatenate(triangles)[order])
 
 
-def strips_cut(corners: Int[np.ndarray, "K"], counts: Int[np.ndarray, "S"]) -> np.ndarray:
+def cut_strips(corners: Int[np.ndarray, "K"], counts: Int[np.ndarray, "S"]) -> np.ndarray:
     """Return the triangles (T, 3) of strips, which -1 ends as well."""
     from trimesh.util import triangle_strips_to_faces
 
@@ -136,9 +136,6 @@ def _laid_flat(space: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return (m, n, 2) corners in the planes of the Newell normals, counter-clockwise and of size
     1. Also the largest rounding error of these corners, in machine epsilons.
     """
-    # By powers of two, which change no digit: squares are not to overflow or vanish.
-    exponent = np.frexp(np.max(np.abs(space), axis=(1, 2)))[1]
-    space = np.ldexp(space, -exponent[:, None, None])
     arms = space - space[:, :1]
     size = np.max(np.abs(arms), axis=(1, 2))
     size = np.where(size > 0, size, 1.0)
@@ -156,8 +153,7 @@ def _laid_flat(space: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     axis = np.eye(3)[np.argmin(np.abs(normal), axis=-1)]
     x = _unit(np.cross(axis, normal))
     y = np.cross(_unit(normal), x)
-    flat = np.stack([np.sum(arms * x[:, None], axis=-1), np.sum(arms * y[:, None], axis=-1)], -1)
-
+    flat = arms @ np.stack([x, y], axis=-1)
     return flat, 4 * np.max(np.abs(space), axis=(1, 2)) / size
 
 
@@ -180,10 +176,10 @@ def _fans_are_right(flat: np.ndarray) -> np.ndarray:
 
 def _cut(space: np.ndarray, number: int) -> np.ndarray:
     """Return the triangles (n - 2, 3) of one polygon (n, 3) as corners 0 to n - 1."""
-    from manifold3d import triangulate
+    import manifold3d
 
     (flat,), (rounding,) = _laid_flat(space[None])
-    triangles = np.asarray(triangulate([flat]), int)
+    triangles = np.asarray(manifold3d.triangulate([flat]), int)
     own = np.sum(_areas(flat, _fan(len(flat))))
     excess = np.sum(np.abs(_areas(flat, triangles))) - own
     sides = np.sum(np.linalg.norm(flat - np.roll(flat, 1, axis=0), axis=-1))

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from .gltf import plain_gltf, resource
-from .polygons import Polygons, assembled
-from .text import unmarked
+from .numbers import strip_mark
+from .plain_gltf import plain_gltf, resource
+from .polygons import Polygons, merge
 
 STL_NAME = re.compile(rb"^([ \t]*(?:end)?solid\b).*", re.I | re.M)
 STL_NORMAL = re.compile(rb"^([ \t]*facet[ \t]+normal)(?:[ \t]+\S+){3}", re.I | re.M)
@@ -42,7 +42,7 @@ def read_scene(data: bytes, file: Path) -> Polygons:
         np.errstate(all="ignore"),
     ):
         try:
-            plain = _checked_stl(data) if kind == ".stl" else plain_gltf(unmarked(data))
+            plain = _checked_stl(data) if kind == ".stl" else plain_gltf(strip_mark(data))
             scene = trimesh.load(
                 io.BytesIO(plain),
                 file_type=kind[1:],
@@ -53,7 +53,7 @@ def read_scene(data: bytes, file: Path) -> Polygons:
         except (AssertionError, AttributeError, LookupError, TypeError) as error:
             words = f"numbers or objects that are not in their place: {type(error).__name__}"
             raise ValueError(f"{words} {error}") from error
-        return assembled(_parts(scene))
+        return merge(_parts(scene))
 
 
 def _parts(scene: Any) -> Iterator[tuple[Polygons, np.ndarray]]:
@@ -74,7 +74,7 @@ def _checked_stl(data: bytes) -> bytes:
     count = int.from_bytes(data[80:84], "little")
     if len(data) == 84 + 50 * count:
         return data
-    data = unmarked(data) if data[:2] != b"\0\0" else data
+    data = strip_mark(data) if data[:2] != b"\0\0" else data
     data = STL_NAME.sub(rb"\1", data.replace(b"\r", b"\n"))
     # (Of normals that are no numbers, -1.#IND, trimesh logs a traceback.)
     data = STL_NORMAL.sub(rb"\1 0 0 1", data)

@@ -23,7 +23,7 @@ from .fields import (
     save_json,
     save_text,
 )
-from .pinhole import OPENGL, Pinhole, camera_of, pinhole, pose_in, world_from_camera
+from .pinhole import OPENGL, Pinhole, camera_from_pinhole, pinhole, read_pose, world_from_camera
 
 SCHEMA = "pinhole_jax.blender/1"
 FITS = ("AUTO", "HORIZONTAL", "VERTICAL")
@@ -171,4 +171,4 @@ def _camera(fields: Fields, size: Size | None) -> Camera:
     cx = W / 2 - fields.number("shift_x", 0) * side
     cy = H / 2 + fields.number("shift_y", 0) * side / tall
     view = Pinhole(fx, fx / tall, cx, cy, W, H)
-    return camera_of(view, pose_in(fields, "matrix_world"), OPENGL, fields)
+    return camera_from_pinhole(view, read_pose(fields, "matrix_world"), OPENGL, fields)

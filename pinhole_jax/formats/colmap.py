@@ -16,10 +16,10 @@ from typing import Any, BinaryIO
 from .._camera.camera import Camera
 from .._camera.distortion import BrownConrady, Distortion, Fisheye, Rational
 from .._camera.poses import inverse, pose_of, rigid
-from .._files.paths import FilePath, opened, replace_file
+from .._files.paths import FilePath, open_file, replace_file
 from .fields import KIND, Cameras, Fields, by_name, check_cameras, number, short
-from .pinhole import OPENCV, Pinhole, camera_of, model_of, pinhole
-from .rotations import rotation_of, rotations
+from .pinhole import OPENCV, Pinhole, camera_from_pinhole, distortion_model, pinhole
+from .rotations import rotation_from_quaternion, rotations
 
 #: COLMAP's models by number, with their parameters; distortion is what is not f, fx, fy, cx, cy.
 MODELS = {
@@ -148,7 +148,7 @@ def _intrinsics(model: str, numbers: Sequence[float | int], where: str) -> Intri
     view = Pinhole(*focals, *centre, fields.integer("WIDTH"), fields.integer("HEIGHT"))
     distorted = {name: fields.number(name) for name in names if name[0] in "kp"}
     models = (Fisheye,) if model.endswith("FISHEYE") else (BrownConrady, Rational)
-    return view, model_of(distorted, fields, models), fields
+    return view, distortion_model(distorted, fields, models), fields
 
 
 def _posed(
@@ -165,9 +165,11 @@ def _posed(
             )
         view, distortion, source = cameras[number]
         fields = Fields({"QUATERNION": pose[:4], "TRANSLATION": pose[4:]}, where)
-        R = rotation_of(fields.array("QUATERNION", (4,))[[1, 2, 3, 0]], fields, "QUATERNION")
+        R = rotation_from_quaternion(
+            fields.array("QUATERNION", (4,))[[1, 2, 3, 0]], fields, "QUATERNION"
+        )
         matrix = rigid(R, fields.array("TRANSLATION", (3,)))
-        yield name, camera_of(view, inverse(matrix), OPENCV, source, distortion)
+        yield name, camera_from_pinhole(view, inverse(matrix), OPENCV, source, distortion)
 
 
 def _pose(camera: Camera) -> list[float]:
@@ -210,7 +212,7 @@ def _entries(file: Path, columns: str, *, points: bool = False) -> Iterator[tupl
 def _lines(file: Path, counts: list[int]) -> Iterator[tuple[str, str]]:
     """Yield the place and the text of each line but comments, whose number of entries is added to
     `counts`; points need not fit memory."""
-    with opened(file, KIND, MOST_MODEL) as stream:
+    with open_file(file, KIND, MOST_MODEL) as stream:
         for number, raw in enumerate(iter(lambda: stream.readline(MOST_LINE), b""), 1):
             where = f"{str(file)!r}, line {number}"
             if len(raw) == MOST_LINE:
@@ -265,7 +267,7 @@ def _binary_images(file: Path) -> Iterator[Record]:
 @contextmanager
 def _stream(file: Path) -> Iterator[BinaryIO]:
     """Yield a file to read from its beginning to its end, which has to be reached."""
-    with opened(file, KIND, MOST_MODEL) as stream:
+    with open_file(file, KIND, MOST_MODEL) as stream:
         size = os.fstat(stream.fileno()).st_size
         try:
             yield stream

@@ -19,9 +19,9 @@ from .pinhole import (
     OPENCV,
     OPENGL,
     Pinhole,
-    camera_of,
-    focal_of_fov,
-    pose_in,
+    camera_from_pinhole,
+    focal_from_fov,
+    read_pose,
 )
 from .window import resized
 
@@ -174,7 +174,7 @@ def _views(
     else:
         sides = {"vertical": H, "horizontal": W, "diagonal": float(np.hypot(W, H))}
         angle = fields.angle("fov")
-        focals = {axis: focal_of_fov(angle, side) for axis, side in sides.items()}
+        focals = {axis: focal_from_fov(angle, side) for axis, side in sides.items()}
     (fx, _, cx), (_, fy, cy), _ = matrix
     return [
         _View(centres, axis, Pinhole(fx * focal, fy * focal, cx + shift, cy + shift, W, H))
@@ -190,9 +190,9 @@ def _poses(pose: ArrayLike) -> Iterator[_Pose]:
     matrix = fields.array("pose", shape if shape == (3, 4) else (4, 4))
     if len(matrix) == 4 and np.any(matrix[3, :3]) and not np.any(matrix[:3, 3]):
         transposed = Fields({"pose": matrix.T}, fields.where)
-        readings = {", row vectors": pose_in(transposed, "pose")}
+        readings = {", row vectors": read_pose(transposed, "pose")}
     else:  # R of row vectors beside a translation: [R | t] of PyTorch3D's R and T
-        given = pose_in(fields, "pose")
+        given = read_pose(fields, "pose")
         turned = given.copy()
         turned[:3, :3] = given[:3, :3].T
         readings = {"": given, ", rotation for row vectors": turned}
@@ -204,7 +204,7 @@ def _poses(pose: ArrayLike) -> Iterator[_Pose]:
 def _camera(view: _View, pose: _Pose) -> Camera:
     """Return the camera with a lens, needed or not: then one compiled program serves all."""
     where = Fields({}, "the arguments")
-    camera = camera_of(view.pinhole, pose.world_from_camera, OPENCV, where)
+    camera = camera_from_pinhole(view.pinhole, pose.world_from_camera, OPENCV, where)
     return camera.replace(lens=camera.lens or Lens([camera.W / 2, camera.H / 2]))
 
 

@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 from .._camera.camera import Camera
 from .._files.paths import (
     FilePath,
-    existing,
+    as_path,
+    existing_file,
     file_and_name,
     is_folder,
-    path_of,
     read_json as load_json,
     read_text,
 )
@@ -72,9 +72,9 @@ def read(path: FilePath, format: str | None = None, *, size: Size | None = None)
     cameras = pj.formats.read("camera.json")
     ```
     """
-    place = path_of(path)
+    place = as_path(path)
     if not is_folder(place):
-        existing(place, KIND)
+        existing_file(place, KIND)
     name = _checked(format) or _guess_read(place)
     if place.is_file() and place.stem in ("cameras", "images") and name.startswith("colmap"):
         place = place.parent
@@ -105,7 +105,7 @@ def read_one(path: FilePath, *, size: Size | None = None) -> Camera:
     """
     place, name = file_and_name(path)
     if not is_folder(place):
-        existing(place, KIND)
+        existing_file(place, KIND)
     format = _guess_read(place)
     cameras = read(place, format, size=size if FORMATS[format].sized else None)
     known = short([*cameras])
@@ -149,10 +149,10 @@ def _guess_read(path: Path) -> str:
     if path.suffix.lower() == ".xml":
         root = parse_xml(read_text(path, KIND), path)
         return "opencv" if root.tag == "opencv_storage" else "mitsuba"
-    return _of_json(path) if path.suffix.lower() == ".json" else _by_ending(path)
+    return _json_format(path) if path.suffix.lower() == ".json" else _by_ending(path)
 
 
-def _of_json(path: Path) -> str:
+def _json_format(path: Path) -> str:
     """Return the format of a JSON file, by its fields."""
     data = load_json(path, KIND)
     names = {*data} if isinstance(data, dict) else set()
@@ -181,7 +181,7 @@ def guess_write(path: FilePath) -> str:
     pj.formats.guess_write("camera.yaml")  # "opencv"
     ```
     """
-    place = path_of(path)
+    place = as_path(path)
     if is_folder(place) or not place.suffix:
         return "colmap"
     if place.suffix.lower() != ".json":

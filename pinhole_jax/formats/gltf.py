@@ -21,25 +21,25 @@ from .._camera.camera import Camera
 from .._files.paths import (
     MOST_BYTES,
     FilePath,
-    opened,
+    decode_text,
+    open_file,
     parse_json,
     read_text,
     replace_file,
-    text_of,
 )
-from .._mesh_files.glb import HEAD, glb_of, json_size
+from .._mesh_files.glb import HEAD, json_size, pack_glb
 from .fields import KIND, Cameras, Fields, Size, by_name, check_cameras, short
 from .pinhole import (
     OPENGL,
     Pinhole,
-    camera_of,
-    checked_pose,
-    focal_of_fov,
-    fov_of_focal,
+    camera_from_pinhole,
+    focal_from_fov,
+    fov_from_focal,
     pinhole,
+    pose_from_matrix,
     world_from_camera,
 )
-from .rotations import rotation_of
+from .rotations import rotation_from_quaternion
 
 
 def read_gltf(path: FilePath, *, size: Size | None = None) -> Cameras:
@@ -86,7 +86,7 @@ def write_gltf(path: FilePath, cameras: Mapping[str, Camera]) -> None:
         "cameras": [_perspective(name, pinhole(camera)) for name, camera in cameras.items()],
     }
     text = json.dumps(data, indent=1, allow_nan=False).encode()
-    replace_file(path, glb_of(text) if Path(path).suffix.lower() == ".glb" else text)
+    replace_file(path, pack_glb(text) if Path(path).suffix.lower() == ".glb" else text)
 
 
 def _perspective(name: str, view: Pinhole) -> dict[str, Any]:
@@ -98,7 +98,7 @@ def _perspective(name: str, view: Pinhole) -> dict[str, Any]:
             f" nothing else, got ({view.cx:g}, {view.cy:g}) px of {view.W} x {view.H} and"
             f" fx/fy = {view.fx / view.fy:g} in {name!r}"
         )
-    fov = fov_of_focal(view.fy, view.H)
+    fov = fov_from_focal(view.fy, view.H)
     return {
         "name": name,
         "type": "perspective",
@@ -109,7 +109,7 @@ def _perspective(name: str, view: Pinhole) -> dict[str, Any]:
 
 def _header(path: FilePath) -> Any:
     """Return the JSON of a .gltf, or of a .glb's first chunk."""
-    with opened(path, KIND, None) as stream:
+    with open_file(path, KIND, None) as stream:
         try:
             size = json_size(stream.read(HEAD.size), os.fstat(stream.fileno()).st_size)
         except ValueError as error:
@@ -117,7 +117,7 @@ def _header(path: FilePath) -> Any:
         if size is not None and size > MOST_BYTES:
             words = f"JSON of at most {MOST_BYTES} bytes in a glb, got {str(path)!r}: {size}"
             raise ValueError(f"`path`: expected {words}")
-        text = read_text(path, KIND) if size is None else text_of(stream.read(size), path)
+        text = read_text(path, KIND) if size is None else decode_text(stream.read(size), path)
         return parse_json(text, path, "glTF")
 
 
@@ -134,8 +134,11 @@ def _cameras(top: Fields, size: Size | None) -> Iterator[tuple[str, Camera]]:
             if index >= len(own):
                 raise node.wrong("camera", f"a number below {len(own)}", f"{index}")
             name = node.text("name", default=own[index].text("name", default=f"camera_{k}"))
-            pose = checked_pose(_world(k, nodes, parents, worlds), node, "matrix")
-            yield name, camera_of(_intrinsics(own[index], size, by_trimesh), pose, OPENGL, node)
+            pose = pose_from_matrix(_world(k, nodes, parents, worlds), node, "matrix")
+            yield (
+                name,
+                camera_from_pinhole(_intrinsics(own[index], size, by_trimesh), pose, OPENGL, node),
+            )
 
 
 def _parents(nodes: list[Fields]) -> dict[int, int]:
@@ -175,7 +178,7 @@ def _local(node: Fields) -> np.ndarray:
         return node.array("matrix", (16,)).reshape(4, 4).T
     matrix = np.eye(4)
     if "rotation" in node:
-        matrix[:3, :3] = rotation_of(node.array("rotation", (4,)), node, "rotation")
+        matrix[:3, :3] = rotation_from_quaternion(node.array("rotation", (4,)), node, "rotation")
     if "scale" in node:
         matrix[:3, :3] *= node.array("scale", (3,))
     if "translation" in node:
@@ -192,5 +195,5 @@ def _intrinsics(fields: Fields, size: Size | None, by_trimesh: bool) -> Pinhole:
     aspect = perspective.positive("aspectRatio", W / H)
     if abs(aspect * H / W - 1) > 0.01 and not by_trimesh:
         raise perspective.wrong("aspectRatio", f"W/H = {W / H:g} of {W} x {H} px", f"{aspect:g}")
-    focal = focal_of_fov(perspective.angle("yfov"), H)
+    focal = focal_from_fov(perspective.angle("yfov"), H)
     return Pinhole(focal, focal, W / 2, H / 2, W, H)

@@ -9,13 +9,13 @@ import numpy as np
 from .._camera.camera import Camera
 from .._camera.distortion import Distortion
 from .._camera.matrices import Centres
-from .._files.paths import FilePath, existing, file_and_name, is_folder, read_json
+from .._files.paths import FilePath, existing_file, file_and_name, is_folder, read_json
 from .._numerics.arrays import Input
 from .colmap import colmap_intrinsics
 from .fields import KIND, Fields, Size, short
-from .native import camera_of_fields
+from .native import camera_from_fields
 from .opencv import opencv_intrinsics
-from .pinhole import OPENGL, Pinhole, camera_of, pinhole
+from .pinhole import OPENGL, Pinhole, camera_from_pinhole, pinhole
 from .unknown import CAMCHAIN, unknown
 
 #: Names of a matrix K, nine numbers or fx, fy, cx, cy; of these one by one; of coefficients.
@@ -60,12 +60,12 @@ def read_intrinsics(
     if is_folder(place):
         models = (place / model for model in COLMAP)
         place = next((model for model in models if model.exists()), place / COLMAP[-1])
-    existing(place, KIND)
+    existing_file(place, KIND)
     if place.name in COLMAP:
         return _unplaced(*_chosen(colmap_intrinsics(place), name, repr(str(place))))
     fields = _fields(place, name)
     if fields.data.keys() >= OWN:
-        own = camera_of_fields(fields)
+        own = camera_from_fields(fields)
         return _unplaced(pinhole(own, distorted=True), own.distortion, fields)
     return _unplaced(*opencv_intrinsics(fields, size, pixel_centres), fields)
 
@@ -73,7 +73,7 @@ def read_intrinsics(
 def _unplaced(view: Pinhole, distortion: Distortion | None, fields: Fields) -> Camera:
     pose = np.eye(4)
     pose[2, 3] = 1.0
-    return camera_of(view, pose, OPENGL, fields, distortion)
+    return camera_from_pinhole(view, pose, OPENGL, fields, distortion)
 
 
 def _chosen(cameras: Mapping[str, Any], name: str | None, where: str) -> Any:

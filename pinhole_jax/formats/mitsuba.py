@@ -33,11 +33,11 @@ from .fields import (
 from .pinhole import (
     LEFT_UP_FORWARD,
     Pinhole,
-    camera_of,
-    checked_pose,
-    focal_of_fov,
-    fov_of_focal,
+    camera_from_pinhole,
+    focal_from_fov,
+    fov_from_focal,
     pinhole,
+    pose_from_matrix,
     world_from_camera,
 )
 from .rotations import rotations
@@ -99,7 +99,7 @@ def write_mitsuba(path: FilePath, cameras: Mapping[str, Camera]) -> None:
         matrix = world_from_camera(camera, LEFT_UP_FORWARD)
         text += SENSOR.format(
             name=quoteattr(name),
-            fov=float(np.rad2deg(fov_of_focal(view.fy, view.H))),
+            fov=float(np.rad2deg(fov_from_focal(view.fy, view.H))),
             x=0.5 - view.cx / view.W,
             y=0.5 - view.cy / view.H,
             matrix=" ".join(repr(float(m)) for m in matrix.ravel()),
@@ -219,8 +219,8 @@ def _camera(sensor: ET.Element, size: Size | None, where: str) -> Camera:
     with np.errstate(all="ignore"):  # what overflows is no rotation
         for step in (step for move in moves for step in move):
             pose = _step(_snake(step.tag), _attributes(step, where)) @ pose
-    pose = checked_pose(pose, fields, "to_world")
-    return camera_of(Pinhole(focal, focal, cx, cy, W, H), pose, LEFT_UP_FORWARD, fields)
+    pose = pose_from_matrix(pose, fields, "to_world")
+    return camera_from_pinhole(Pinhole(focal, focal, cx, cy, W, H), pose, LEFT_UP_FORWARD, fields)
 
 
 def _focal(fields: Fields, W: int, H: int) -> float:
@@ -235,7 +235,7 @@ def _focal(fields: Fields, W: int, H: int) -> float:
     fov = fields.number("fov", None, "an angle in (0, 180) degrees", 0, 180)
     axis = AXES.index(fields.text("fov_axis", AXES, "x"))
     sides = (W, H, diagonal, min(W, H), max(W, H))  # as in AXES
-    return focal_of_fov(float(np.deg2rad(fov)), sides[axis])
+    return focal_from_fov(float(np.deg2rad(fov)), sides[axis])
 
 
 def _step(kind: str, fields: Fields) -> Pose:

@@ -72,10 +72,10 @@ def camera_from_dict(data: Input[Mapping[str, object], "JSON"], *, fitted: bool 
     camera = pj.io.camera_from_dict(data)
     ```
     """
-    return camera_of_fields(Fields(data, "the camera's fields"), fitted=fitted)
+    return camera_from_fields(Fields(data, "the camera's fields"), fitted=fitted)
 
 
-def camera_of_fields(fields: Fields, *, fitted: bool = False) -> Camera:
+def camera_from_fields(fields: Fields, *, fitted: bool = False) -> Camera:
     """Return the camera of fields, as `camera_from_dict`."""
     if "schema" in fields:
         fields.text("schema", (CAMERA_SCHEMA,))
@@ -190,7 +190,7 @@ def load_camera(path: FilePath) -> Camera:
     ```
     """
     data = load_json(path, "a camera file")
-    return camera_of_fields(Fields(data, repr(str(path))))
+    return camera_from_fields(Fields(data, repr(str(path))))
 
 
 def _plain(numbers: Any) -> Any:
@@ -209,7 +209,7 @@ def read_json(path: FilePath) -> Cameras:
     cameras = pj.formats.read_json("left.json")
     ```
     """
-    return named_cameras(path, camera_of_fields)
+    return named_cameras(path, camera_from_fields)
 
 
 def write_json(path: FilePath, cameras: Mapping[str, Camera]) -> None:

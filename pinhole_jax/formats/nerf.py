@@ -14,12 +14,12 @@ from .fields import Cameras, Fields, Size, by_name, check_cameras, load_json, sa
 from .pinhole import (
     OPENGL,
     Pinhole,
-    camera_of,
-    focal_of_fov,
-    fov_of_focal,
-    model_of,
+    camera_from_pinhole,
+    distortion_model,
+    focal_from_fov,
+    fov_from_focal,
     pinhole,
-    pose_in,
+    read_pose,
     world_from_camera,
 )
 
@@ -95,7 +95,7 @@ def _camera(fields: Fields, size: Size | None) -> Camera:
     model = fields.text("camera_model", MODELS, "OPENCV")
     fisheye = model == FISHEYE or ("is_fisheye" in fields and fields.flag("is_fisheye"))
     coefficients = {name: fields.number(name) for name in COEFFICIENTS if name in fields}
-    distortion = model_of(coefficients, fields, (Fisheye if fisheye else BrownConrady,))
+    distortion = distortion_model(coefficients, fields, (Fisheye if fisheye else BrownConrady,))
     W, H = fields.size("w", "h", size)
     fx = _focal(fields, "x", W)
     fy = _focal(fields, "y", H)
@@ -105,8 +105,8 @@ def _camera(fields: Fields, size: Size | None) -> Camera:
     if fy is None or ("fl_x" in fields and "fl_y" not in fields):
         fy = fx
     centre = fields.number("cx", W / 2), fields.number("cy", H / 2)
-    pose = pose_in(fields, "transform_matrix")
-    return camera_of(Pinhole(fx, fy, *centre, W, H), pose, OPENGL, fields, distortion)
+    pose = read_pose(fields, "transform_matrix")
+    return camera_from_pinhole(Pinhole(fx, fy, *centre, W, H), pose, OPENGL, fields, distortion)
 
 
 def _focal(fields: Fields, axis: str, length: int) -> float | None:
@@ -114,7 +114,7 @@ def _focal(fields: Fields, axis: str, length: int) -> float | None:
     if f"fl_{axis}" in fields:
         return fields.positive(f"fl_{axis}")
     angle = f"camera_angle_{axis}"
-    return focal_of_fov(fields.angle(angle), length) if angle in fields else None
+    return focal_from_fov(fields.angle(angle), length) if angle in fields else None
 
 
 def _intrinsics(camera: Camera) -> dict[str, float | int]:
@@ -129,6 +129,6 @@ def _intrinsics(camera: Camera) -> dict[str, float | int]:
         "fl_y": view.fy,
         "cx": view.cx,
         "cy": view.cy,
-        "camera_angle_x": fov_of_focal(view.fx, view.W),
-        "camera_angle_y": fov_of_focal(view.fy, view.H),
+        "camera_angle_x": fov_from_focal(view.fx, view.W),
+        "camera_angle_y": fov_from_focal(view.fy, view.H),
     }

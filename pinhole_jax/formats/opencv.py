@@ -18,7 +18,14 @@ from .._camera.poses import Pose, inverse, rigid
 from .._files.paths import FilePath
 from .._numerics.arrays import Input
 from .fields import NO, YES, Cameras, Fields, Size, by_name, check_cameras, save_text, short
-from .pinhole import OPENCV, Pinhole, camera_of, checked_pose, model_of, to_opencv
+from .pinhole import (
+    OPENCV,
+    Pinhole,
+    camera_from_pinhole,
+    distortion_model,
+    pose_from_matrix,
+    to_opencv,
+)
 from .rotations import rotations
 from .unknown import unknown
 
@@ -110,7 +117,9 @@ def read_opencv(
         names = [alone]
     elif "camera_names" in fields:
         names = fields.items("camera_names", len(poses), f"{len(poses)} different names")
-    cameras = (camera_of(view, inverse(pose), OPENCV, fields, distortion) for pose in poses)
+    cameras = (
+        camera_from_pinhole(view, inverse(pose), OPENCV, fields, distortion) for pose in poses
+    )
     return by_name(zip(map(str, names), cameras, strict=True), fields.where)
 
 
@@ -197,7 +206,7 @@ def _known(file: Fields) -> Fields:
         elif name in known:
             raise file.wrong(name, "one such field", f"{str(key)!r} too")
         else:
-            value = storage.array_of(name, value, file.where)
+            value = storage.matrix_array(name, value, file.where)
             flat = name != "extrinsic_parameters" and 1 in Fields({name: value}, "").shape(name)
             known[name] = np.ravel(value) if flat else value
     return Fields(known, file.where)
@@ -267,7 +276,7 @@ def _poses(fields: Fields) -> list[Pose]:
     t = fields.array("t", (3,))
     if name == "rvec" or fields.shape(name) == (3,):
         return [rigid(_rotation(fields.array(name, (3,)), fields, name), t)]
-    return [checked_pose(np.c_[fields.array(name, (3, 3)), t], fields, name)]
+    return [pose_from_matrix(np.c_[fields.array(name, (3, 3)), t], fields, name)]
 
 
 def _rotation(rvec: np.ndarray, fields: Fields, name: str) -> np.ndarray:
@@ -282,12 +291,12 @@ def _distortion(fields: Fields) -> Distortion | None:
     names, sizes = (FISHEYE, (4,)) if fisheye else (COEFFICIENTS, (4, 5, 8, 12, 14))
     if isinstance(fields.data.get(name), Mapping):
         part = fields.part(name)
-        return model_of({key: part.number(key) for key in part.data}, fields, models)
+        return distortion_model({key: part.number(key) for key in part.data}, fields, models)
     values = np.ravel(fields.array(name, fields.shape(name))) if name in fields else ()
     if len(values) not in (0, *sizes):
         words = " or ".join(map(str, sizes)) + " coefficients"
         raise fields.wrong(name, words + " of a fisheye" * fisheye, values)
-    return model_of(dict(zip(names, map(float, values), strict=False)), fields, models)
+    return distortion_model(dict(zip(names, map(float, values), strict=False)), fields, models)
 
 
 def _matrix(name: str, array: np.ndarray) -> str:

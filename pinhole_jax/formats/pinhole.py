@@ -97,7 +97,7 @@ def to_opencv(
     return K, pose[:3, :3].copy(), pose[:3, 3].copy()  # OpenCV wants them contiguous
 
 
-def model_of(
+def distortion_model(
     coefficients: Mapping[str, float], fields: Fields, models: Sequence[type[Distortion]]
 ) -> Distortion | None:
     """Return the distortion with these coefficients, of the first of some models that has them.
@@ -117,7 +117,7 @@ def world_from_camera(camera: Camera, axes: Pose) -> Pose:
     return pose_of(camera) @ axes
 
 
-def checked_pose(matrix: np.ndarray, fields: Fields, name: str) -> Pose:
+def pose_from_matrix(matrix: np.ndarray, fields: Fields, name: str) -> Pose:
     """Return a (3, 4) or (4, 4) transform as (4, 4), its rotation freed of rounding."""
     try:
         with np.errstate(all="ignore"):  # what overflows is no rotation
@@ -127,13 +127,13 @@ def checked_pose(matrix: np.ndarray, fields: Fields, name: str) -> Pose:
         raise fields.wrong(name, expected, matrix) from None
 
 
-def pose_in(fields: Fields, name: str) -> Pose:
+def read_pose(fields: Fields, name: str) -> Pose:
     """Return the rigid transform of a field, (3, 4) or (4, 4)."""
     rows = 3 if name in fields and fields.shape(name) == (3, 4) else 4
-    return checked_pose(fields.array(name, (rows, 4)), fields, name)
+    return pose_from_matrix(fields.array(name, (rows, 4)), fields, name)
 
 
-def camera_of(
+def camera_from_pinhole(
     view: Pinhole,
     world_from_camera: Pose,
     axes: Pose,
@@ -150,11 +150,11 @@ def camera_of(
         raise ValueError(f"{error} (in {fields.where})") from None
 
 
-def focal_of_fov(fov: float, length: float | int) -> float:
+def focal_from_fov(fov: float, length: float | int) -> float:
     """Return the focal length in px of a field of view (rad) over this many px."""
     return float(length / (2 * np.tan(fov / 2)))
 
 
-def fov_of_focal(focal: float, length: float | int) -> float:
+def fov_from_focal(focal: float, length: float | int) -> float:
     """Return the field of view in rad of a focal length in px over this many px."""
     return float(2 * np.arctan(length / (2 * focal)))

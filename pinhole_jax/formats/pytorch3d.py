@@ -19,9 +19,9 @@ from .fields import Cameras, Fields, Size, by_name, check_cameras, load_json, sa
 from .pinhole import (
     LEFT_UP_FORWARD,
     Pinhole,
-    camera_of,
-    checked_pose,
+    camera_from_pinhole,
     pinhole,
+    pose_from_matrix,
     world_from_camera,
 )
 
@@ -99,7 +99,9 @@ def from_pytorch3d(
         cx, cy = (cx - half * x, cy - half * y) if in_ndc else (x, y)
     view = Pinhole(float(focal[0]), float(focal[-1]), float(cx), float(cy), W, H)
     pose = np.c_[fields.array("R", (3, 3)).T, fields.array("T", (3,))]
-    return camera_of(view, inverse(checked_pose(pose, fields, "R")), LEFT_UP_FORWARD, fields)
+    return camera_from_pinhole(
+        view, inverse(pose_from_matrix(pose, fields, "R")), LEFT_UP_FORWARD, fields
+    )
 
 
 def read_pytorch3d(path: FilePath, *, size: Size | None = None) -> Cameras:

@@ -17,7 +17,7 @@ def rotations() -> "type[Rotation]":
     return Rotation
 
 
-def rotation_of(quaternion: np.ndarray, fields: Fields, name: str) -> np.ndarray:
+def rotation_from_quaternion(quaternion: np.ndarray, fields: Fields, name: str) -> np.ndarray:
     """Return the rotation (3, 3) of a quaternion (x, y, z, w), of length 1 up to rounding."""
     if np.any(np.abs(quaternion) > 2) or abs(np.linalg.norm(quaternion) - 1) > 1e-4:
         raise fields.wrong(name, "a quaternion of length 1", quaternion)

@@ -47,15 +47,15 @@ def load(path: FilePath) -> Fields:
     """
     text, where = read_text(path, KIND), repr(str(path))
     if text.lstrip().startswith("<"):
-        data = _of_xml(parse_xml(text, path), where)
+        data = _xml_value(parse_xml(text, path), where)
     elif Path(path).suffix.lower() == ".json":
         data = parse_json(text, path)
     else:
-        data = _of_yaml(text, where)
+        data = _parse_yaml(text, where)
     return Fields(data, where)
 
 
-def _of_yaml(text: str, where: str) -> Any:
+def _parse_yaml(text: str, where: str) -> Any:
     if len(text) > MOST_YAML:
         raise ValueError(f"`path`: expected YAML of at most {MOST_YAML} bytes, got {where}: more")
     plain = re.sub(r"\A\s*%YAML:.*", "", text)
@@ -78,12 +78,12 @@ def _of_yaml(text: str, where: str) -> Any:
     return data
 
 
-def _of_xml(element: ET.Element, where: str, depth: int = 0) -> Any:
+def _xml_value(element: ET.Element, where: str, depth: int = 0) -> Any:
     """Return an element's value: a map of its children, a list, a text or a number."""
     children = list(element)
     if depth > MOST_DEPTH:
         raise ValueError(f"`path`: expected XML of at most {MOST_DEPTH} levels, got {where}: more")
-    values = [_of_xml(child, where, depth + 1) for child in children]
+    values = [_xml_value(child, where, depth + 1) for child in children]
     names = [child.tag for child in children]
     if twice := first_repeat(name for name in names if name != "_"):
         raise ValueError(f"`path`: expected XML, got {where}: the field {short(twice)} twice")
@@ -105,7 +105,7 @@ def _scalar(text: str) -> Any:
     return text.strip('"')
 
 
-def array_of(name: str, value: Any, where: str) -> Any:
+def matrix_array(name: str, value: Any, where: str) -> Any:
     """Return the array of a matrix (rows, cols, dt, data), float64; another value as it is."""
     if not isinstance(value, dict) or "data" not in value:
         return value

@@ -18,7 +18,7 @@ from .._fit.words import STATUSES
 from .._numerics.arrays import Input
 from ..formats.fields import Fields, short
 from ..formats.native import (
-    camera_of_fields,
+    camera_from_fields,
     camera_to_dict,
     distortion_to_dict,
     save_camera,
@@ -184,7 +184,7 @@ def _fit(fields: Fields) -> Fit:
 
 def _camera(fields: Fields, dtype: np.dtype) -> Camera:
     known = jax.dtypes.canonicalize_dtype(dtype)
-    camera = camera_of_fields(fields, fitted=True)
+    camera = camera_from_fields(fields, fitted=True)
     return jax.tree.map(lambda leaf: leaf.astype(known), camera)
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from .._files.exif import FieldOfView, field_of_view
-from .._files.paths import path_of, reason, replace_file
+from .._files.paths import as_path, reason, replace_file
 from .._files.pictures import by_bands, eight_bits, from_picture, three_channels
 
 #: The most pixels of a picture (Pillow's limit, too: what is written can be read).
@@ -79,7 +79,7 @@ def save_image(path: str | os.PathLike[str], image: np.ndarray) -> None:
         array = np.round(np.clip(array.astype(float), 0, 1) * 255).astype(np.uint8)
     elif array.dtype != np.uint8:
         raise ValueError(f"`image`: expected dtype bool, uint8 or float, got {array.dtype}")
-    suffix = path_of(path).suffix or ".png"
+    suffix = as_path(path).suffix or ".png"
     if suffix.lower() not in Image.registered_extensions():
         raise ValueError(f"`path`: expected the ending of an image format, got {suffix!r}")
     data = BytesIO()

@@ -16,7 +16,7 @@ from .._files.pictures import BAND, Image, bands, by_bands, eight_bits, from_pic
 from .._mask.target import MOST_BORDER, covered_border
 from .labels import FEW, labels_in
 from .tidy import SPECK, parts
-from .transparency import DARK, GREY, LIGHT, opacity, opaque_pixels, seen_through
+from .transparency import DARK, GREY, LIGHT, mask_with_colours, opacity, opaque_pixels
 
 #: The ways to read a mask, as `mask_from` and the command's `--mask-from` name them.
 WAYS = "alpha, luminance, label=N, background=COLOR (or COLOR,TOLERANCE)"
@@ -71,7 +71,7 @@ def load_mask(
     mask = pj.io.load_mask("mask.png")
     ```
     """
-    way = way_of(mask_from)
+    way = parse_way(mask_from)
     read = from_picture(path, "a mask", lambda image: read_mask(image, way, invert))
     if say is not None and read.words:
         say(read.words)
@@ -86,14 +86,14 @@ class Way(NamedTuple):
     tolerance: float | None = None
 
 
-class Read(NamedTuple):
+class MaskReading(NamedTuple):
     """A mask (H, W), 255 where the object is, and a text on how it was read, if not plainly."""
 
     mask: np.ndarray
     words: str
 
 
-def way_of(mask_from: str | None) -> Way:
+def parse_way(mask_from: str | None) -> Way:
     """Return the way that a user names; None is what is seen at first sight.
 
     Raises ValueError for any other text than `WAYS` has, and for colours of no known name.
@@ -114,7 +114,7 @@ def way_of(mask_from: str | None) -> Way:
     raise ValueError(f"`mask_from`: expected one of {WAYS}, got {text!r}")
 
 
-def read_mask(image: Image, way: Way, invert: bool = False) -> Read:
+def read_mask(image: Image, way: Way, invert: bool = False) -> MaskReading:
     """Return the mask that a picture holds; at first sight its transparency if that varies, else
     its brightness if that is a mask's. `invert`: what is read is the background.
 
@@ -122,13 +122,13 @@ def read_mask(image: Image, way: Way, invert: bool = False) -> Read:
     """
     read = _read(image, way)
     if invert:
-        return Read(255 - read.mask, f"{read.words or 'mask: its brightness'}, inverted")
+        return MaskReading(255 - read.mask, f"{read.words or 'mask: its brightness'}, inverted")
     if way.name == "first sight":
         _check_border(read, image)
     return read
 
 
-def _check_border(read: Read, image: Image) -> None:
+def _check_border(read: MaskReading, image: Image) -> None:
     """Raise ValueError for a mask that covers its border, and yet not all of the picture."""
     inside = read.mask > 127
     share = covered_border(inside)
@@ -164,11 +164,11 @@ def _label_amid_void(image: Image) -> int:
     return labels[0] if amid_void else 0
 
 
-def _read(image: Image, way: Way) -> Read:
+def _read(image: Image, way: Way) -> MaskReading:
     if way.name == "alpha":
-        return Read(opacity(image), ALPHA)
+        return MaskReading(opacity(image), ALPHA)
     if way.name == "luminance":
-        return Read(eight_bits(image), "mask: its brightness")
+        return MaskReading(eight_bits(image), "mask: its brightness")
     if way.name == "label":
         return _label(image, int(way.value))
     if way.name == "background":
@@ -176,11 +176,11 @@ def _read(image: Image, way: Way) -> Read:
     return _at_first_sight(image)
 
 
-def _at_first_sight(image: Image) -> Read:
+def _at_first_sight(image: Image) -> MaskReading:
     if image.has_transparency_data and (read := _transparent(image)) is not None:
         return read
     if _two_colours(image):
-        return Read(_label(image, 1).mask, "mask: its palette's entry 1")
+        return MaskReading(_label(image, 1).mask, "mask: its palette's entry 1")
     is_grey = image.mode != "P" and _has_numbers(image)
     grey = eight_bits(image) if is_grey else by_bands(image, _grey)
     labels = labels_in(image, np.asarray if is_grey else _grey)
@@ -192,23 +192,23 @@ def _at_first_sight(image: Image) -> Read:
             f" white; say what is the object: {_labels(image)}"
         )
     if grey.max() == 1 and image.mode in ("L", "P"):
-        return Read(255 * grey, "mask: its values 0 and 1")
+        return MaskReading(255 * grey, "mask: its values 0 and 1")
     if 0 < grey.max() < DARK:
         raise ValueError(f"a picture no lighter than {grey.max()} of 255; {_labels(image)}")
     return _without_haze(grey)
 
 
-def _without_haze(grey: np.ndarray) -> Read:
+def _without_haze(grey: np.ndarray) -> MaskReading:
     """Return a grey mask; 0 and 255 for its values if they are two and neither is 0."""
     low, high = int(grey.min()), int(grey.max())
-    if low > 0 and (hard := _of_two_values(grey)) is not None:
-        return Read(hard, f"{HAZE}, {low} and {high}")
+    if low > 0 and (hard := _two_levels(grey)) is not None:
+        return MaskReading(hard, f"{HAZE}, {low} and {high}")
     if low > MOST_HAZE:
-        return Read(grey, f"{HAZE}, whose background is at least {low} of 255")
-    return Read(grey, "")
+        return MaskReading(grey, f"{HAZE}, whose background is at least {low} of 255")
+    return MaskReading(grey, "")
 
 
-def _of_two_values(array: np.ndarray) -> np.ndarray | None:
+def _two_levels(array: np.ndarray) -> np.ndarray | None:
     """Return an array of two values as 0 and 255; None if there are fewer or more."""
     low, high = array.min(), array.max()
     if low == high or not all(np.all((row == low) | (row == high)) for row in array):
@@ -216,7 +216,7 @@ def _of_two_values(array: np.ndarray) -> np.ndarray | None:
     return np.where(array == high, np.uint8(255), np.uint8(0))
 
 
-def _transparent(image: Image) -> Read | None:
+def _transparent(image: Image) -> MaskReading | None:
     """Return the mask of a picture whose transparency varies, None where it does not."""
     opaque = opacity(image)
     most = opaque.max()
@@ -224,18 +224,18 @@ def _transparent(image: Image) -> Read | None:
         if most == 0 and _varies(image):
             words = "a picture that is transparent everywhere; say what is the object"
             raise ValueError(f"{words}: {WAYS}")
-        return None if most else Read(opaque, ALPHA)
+        return None if most else MaskReading(opaque, ALPHA)
     _check_opacity(image)
     _check_labels(image, _labels_that_show(image))
     words = ALPHA
     if most < 255 or opaque.min() > 0:
         words = f"{ALPHA}, its values {opaque.min()} to {most}"
         opaque = _stretched(opaque)
-    mask = seen_through(image, opaque)
+    mask = mask_with_colours(image, opaque)
     if mask is not None:
-        return Read(mask, BOTH)
+        return MaskReading(mask, BOTH)
     _check_colours(image)
-    return Read(opaque, words)
+    return MaskReading(opaque, words)
 
 
 def _check_opacity(image: Image) -> None:
@@ -252,7 +252,7 @@ def _stretched(opaque: np.ndarray) -> np.ndarray:
 
     Raises ValueError where it is hardly there.
     """
-    if (hard := _of_two_values(opaque)) is not None:
+    if (hard := _two_levels(opaque)) is not None:
         return hard
     most = int(opaque.max())
     if most < DARK:
@@ -372,7 +372,7 @@ def _grey(band: Image) -> np.ndarray:
     return colours[..., 0]
 
 
-def _label(image: Image, number: int) -> Read:
+def _label(image: Image, number: int) -> MaskReading:
     if not _has_numbers(image):
         raise ValueError(f"a picture of mode {image.mode}: labels are grey values or a palette's")
     mask = by_bands(image, lambda band: np.where(np.asarray(band) == number, 255, 0))
@@ -384,10 +384,10 @@ def _label(image: Image, number: int) -> Read:
     void = [x for x in VOID if x in values and x != number and len(values) > 2]
     if void:
         words += f"; {void[0]}, often void, counts as background: give such pixels weight 0"
-    return Read(mask, words)
+    return MaskReading(mask, words)
 
 
-def _background(image: Image, name: str, tolerance: float | None) -> Read:
+def _background(image: Image, name: str, tolerance: float | None) -> MaskReading:
     """Return a mask of pixels that differ from a colour by more than a tolerance (CIE Lab).
 
     Without one, Otsu's threshold parts near from far. Specks and pinholes are dropped, and the
@@ -411,7 +411,7 @@ def _background(image: Image, name: str, tolerance: float | None) -> Read:
         f"mask: what differs from {name} by more than {limit:.1f} in CIE Lab ({how}),"
         f" {share:.1%} of the picture, soft edges from mixed colours"
     )
-    return Read(_with_soft_edges(inside, image, back), words)
+    return MaskReading(_with_soft_edges(inside, image, back), words)
 
 
 def _otsu(values: np.ndarray) -> float:

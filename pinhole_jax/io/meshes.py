@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from .._files.paths import existing, reason
-from .._mesh_files import MESH_ENDINGS, Polygons, read_polygons, triangulated
+from .._files.paths import existing_file, reason
+from .._mesh_files import MESH_ENDINGS, Polygons, read_polygons, triangulate
 from .._scene.scene import Mesh, rounding_warning
 from .._scene.topology import by_place
 
@@ -47,7 +47,7 @@ def load_mesh(path: str | os.PathLike[str], say: Callable[[str], object] | None 
     mesh = pj.load_mesh("part.off")
     ```
     """
-    file = existing(path, "a mesh file")
+    file = existing_file(path, "a mesh file")
     if file.suffix.lower() not in MESH_ENDINGS:
         words = f"expected one of {', '.join(MESH_ENDINGS)}, got {file.name!r}"
         hint = "; export it as STL" if file.suffix.lower() in SOLIDS else ""
@@ -62,14 +62,14 @@ def load_mesh(path: str | os.PathLike[str], say: Callable[[str], object] | None 
         ) from error
     _check_corners(polygons, path)
     try:
-        faces = triangulated(polygons)
+        faces = triangulate(polygons)
     except ValueError as error:
         raise ValueError(
             f"`path`: expected polygons that can be cut, got {str(path)!r}: {error}"
         ) from error
     if not len(faces):
         raise ValueError(f"`path`: expected a mesh with faces, got {str(path)!r}: none")
-    merged, place = welded(polygons.points, faces)
+    merged, place = weld(polygons.points, faces)
     merged = merged.astype(float)
     try:
         with warnings.catch_warnings(action="ignore", category=UserWarning):  # see below
@@ -95,7 +95,7 @@ def _check_corners(polygons: Polygons, path: Any) -> None:
         raise ValueError(f"`path`: expected finite vertices, got {str(path)!r}: NaN or infinity")
 
 
-def welded(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def weld(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the points that faces use, each place once and in order, and the faces of these."""
     used = np.zeros(len(points), bool)
     used[faces] = True

@@ -39,7 +39,7 @@ def opaque_pixels(band: Image) -> np.ndarray:
     return np.asarray(band.convert("RGBA"))[..., 3]
 
 
-def seen_through(image: Image, opaque: np.ndarray) -> np.ndarray | None:
+def mask_with_colours(image: Image, opaque: np.ndarray) -> np.ndarray | None:
     """Return the mask (H, W) that transparency and colours make together. None where transparency
     alone is the mask: one colour, premultiplied or not, or an object cut out of a photo.
 

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from .._files.paths import existing, read_bytes, reason
+from .._files.paths import existing_file, read_bytes, reason
 from .._scene.scene import Mesh
 from ..io.meshes import load_mesh
-from .packages import checked_packages, mesh_path
+from .packages import check_packages, mesh_path
 from .robot import Robot
 from .urdf import plain_urdf
 
@@ -44,8 +44,8 @@ def load_urdf(
     lamp = pj.robots.load_urdf("lamp.urdf")
     ```
     """
-    file = existing(path, "a URDF file")
-    folders = checked_packages(packages)
+    file = existing_file(path, "a URDF file")
+    folders = check_packages(packages)
     try:
         import yourdfpy
     except ModuleNotFoundError as error:

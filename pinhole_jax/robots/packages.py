@@ -12,7 +12,7 @@ from .._files.paths import read_text
 Folders = Mapping[str, str | os.PathLike[str]]
 
 
-def checked_packages(packages: Any) -> Folders:
+def check_packages(packages: Any) -> Folders:
     """Return the folders of packages by name, none for None; raise ValueError for all else."""
     expected = "`packages`: expected a mapping of package name to folder, got"
     if packages is None:

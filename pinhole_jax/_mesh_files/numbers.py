@@ -11,14 +11,14 @@ COMMENT = re.compile(rb"(?<!\S)#[^\r\n]*")
 UTF_16 = codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE
 
 
-def unmarked(data: bytes) -> bytes:
+def strip_mark(data: bytes) -> bytes:
     """Return text without UTF-8's byte order mark, or raise ValueError where it is UTF-16."""
     if data.startswith(UTF_16) or 0 in data[:2]:
         raise ValueError("text in UTF-16: save it as UTF-8")
     return data.removeprefix(codecs.BOM_UTF8)
 
 
-def numbers_of(text: bytes, kind: type, what: str, size: int | None = None) -> np.ndarray:
+def parse_numbers(text: bytes, kind: type, what: str, size: int | None = None) -> np.ndarray:
     """Return the numbers (size,) of a text, float or int, parted by white space.
 
     Raises ValueError, which names them by `what`, for words that are no numbers, and for more or
@@ -45,7 +45,7 @@ def _no_number(text: bytes, kind: type) -> str:
     return "something else"
 
 
-def whole(numbers: np.ndarray, what: str) -> np.ndarray:
+def to_integers(numbers: np.ndarray, what: str) -> np.ndarray:
     """Return floats as integers, or raise ValueError, which names them by `what`."""
     fits = np.abs(numbers) <= 2**53
     if not np.all(fits & (numbers == np.round(np.where(fits, numbers, 0.5)))):
@@ -53,7 +53,7 @@ def whole(numbers: np.ndarray, what: str) -> np.ndarray:
     return numbers.astype(int)
 
 
-def counts_of(lines: list[bytes]) -> np.ndarray:
+def word_counts(lines: list[bytes]) -> np.ndarray:
     """Return the number of words of each line, (L,)."""
     codes = np.frombuffer(b"\n".join([*lines, b""]), np.uint8)
     blank = codes <= 32
@@ -63,20 +63,20 @@ def counts_of(lines: list[bytes]) -> np.ndarray:
     return np.diff(np.cumsum(begins)[ends], prepend=0)
 
 
-def points_of(lines: list[bytes]) -> np.ndarray:
+def parse_points(lines: list[bytes]) -> np.ndarray:
     """Return the first three numbers of each line, (L, 3); what follows them are colours and such.
 
     Raises ValueError where there are fewer.
     """
-    counts = counts_of(lines)
+    counts = word_counts(lines)
     if counts.size and np.min(counts) < 3:
         raise ValueError(f"vertex {np.argmin(counts) + 1}: {np.min(counts)} coordinates")
     if np.any(counts != 3):
         lines = [b" ".join(line.split(None, 3)[:3]) for line in lines]
-    return numbers_of(b"\n".join(lines), float, "vertices", 3 * len(lines)).reshape(-1, 3)
+    return parse_numbers(b"\n".join(lines), float, "vertices", 3 * len(lines)).reshape(-1, 3)
 
 
-def taken(values: np.ndarray, starts: np.ndarray, counts: np.ndarray) -> np.ndarray:
+def gather_runs(values: np.ndarray, starts: np.ndarray, counts: np.ndarray) -> np.ndarray:
     """Return `counts[k]` values from each of `starts[k]` on, one after the other."""
     first = np.cumsum(counts) - counts
     return values[np.arange(np.sum(counts)) + np.repeat(starts - first, counts)]

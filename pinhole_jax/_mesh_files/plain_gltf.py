@@ -11,7 +11,7 @@ from typing import Any
 from urllib.parse import unquote, urlsplit
 
 from .._files.paths import first_repeat, read_bytes
-from .glb import HEAD, glb_of, json_size
+from .glb import HEAD, json_size, pack_glb
 
 #: The lists that are read, and fields that count their entries, bytes or numbers.
 LISTS = ("scenes", "nodes", "meshes", "accessors", "bufferViews", "buffers")
@@ -57,7 +57,7 @@ def plain_gltf(data: bytes) -> bytes:
     _check_nodes(plain)
     _check_arrays(plain)
     text = json.dumps(plain).encode()
-    return text if size is None else glb_of(text, data[start + size :])
+    return text if size is None else pack_glb(text, data[start + size :])
 
 
 def wrong(name: str, expected: str, got: Any) -> ValueError:
