@@ -27,6 +27,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import _shapes
 import jax
 import numpy as np
 from _common import (
@@ -84,9 +85,10 @@ def wide(tree: Any) -> Any:
 
 
 def shapes() -> dict[str, Callable[[Random], pj.Scene]]:
-    """Return makers of scenes of radius 1 by name."""
+    """Return makers of scenes of radius about 1 by name; ten that no constant was tuned on."""
     unit = lambda make, random: scene_of(np.asarray((mesh := make(random)[0]).vertices), mesh.faces)
     found = {name: partial(unit, make) for name, make in DRAWN.items()}
+    found |= {name: partial(_shapes.scene, name) for name in _shapes.NAMES}
     return found | {name: lambda _, scene=scene: scene for name, scene in meshes(*REAL)}
 
 
@@ -174,8 +176,8 @@ Values = Callable[[pj.Camera], np.ndarray]
 def used(scene: pj.Scene, truth: pj.Camera, random: Random) -> Values:
     """Return a function that gives, of a camera, the logarithm of the distance, px at the film's
     corner and the place of the object's farthest point, the last two along a random direction."""
-    vertices = np.asarray(scene.mesh.vertices)
-    farthest = vertices[np.argmax(np.linalg.norm(vertices, axis=1))]
+    points = scene.spheres.centers if scene.mesh is None else scene.mesh.vertices
+    farthest = max(np.asarray(points), key=np.linalg.norm)
     b1, b2, v = axes_of(truth)
     distance = np.linalg.norm(truth.e)
     corner = np.asarray(truth.e) + distance * (v + np.tan(truth.phi / 2) * (b1 + b2))
