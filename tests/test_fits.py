@@ -5,6 +5,7 @@ import json
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from oracles import drawn
@@ -115,7 +116,7 @@ def test_non_fits_are_not_written(tmp_path):
     with pytest.raises(ValueError, match="`fit`: expected a Fit, got Camera"):
         inspect.unwrap(io.fit_to_dict)(CAMERA)
     broken = fit_of(CAMERA)
-    broken = broken._replace(camera=eqx.tree_at(lambda c: c.phi, CAMERA, np.nan))
+    broken = broken._replace(camera=eqx.tree_at(lambda c: c.phi, CAMERA, jnp.asarray(np.nan)))
     with pytest.raises(ValueError, match="expected what JSON can hold"):
         io.save_fit(tmp_path / "x.json", broken)
     assert not list(tmp_path.iterdir())
