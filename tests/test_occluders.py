@@ -72,7 +72,7 @@ def test_means_about_an_outline_are_those_of_whole_images(scene):
 
     truth = anywhere(3)
     hard, ones = drawn(truth, scene) > 0.5, np.ones((80, 96))
-    solver = Solver.of(scene, hard, ones, np.float64, ("pose",), 8)
+    solver = Solver.from_scene(scene, hard, ones, np.float64, ("pose",), 8)
     near = pj.Camera(0.5 * truth.e, truth.p, truth.u, truth.phi, 1.0, 96, 80)
     view = solver.look(canonical(near), solver.finest)
     place, rows, _ = outline_pixels(view)
@@ -90,7 +90,7 @@ def test_means_about_an_outline_are_those_of_whole_images(scene):
 
 def refiner_of(truth, scene, seen, weight=None) -> Refiner:
     mask = Mask(seen * 1.0, np.ones((80, 96)) if weight is None else weight, truth)
-    solver = Solver.of(scene, mask.target, mask.weight, np.float64, ("pose",), 8)
+    solver = Solver.from_scene(scene, mask.target, mask.weight, np.float64, ("pose",), 8)
     return Refiner.on(solver, mask, 2.0)
 
 

@@ -36,7 +36,7 @@ def image(scene):
 
 
 def solver_of(scene, target):
-    return Solver.of(scene, target, np.ones(target.shape), np.float32, ("pose",), 64)
+    return Solver.from_scene(scene, target, np.ones(target.shape), np.float32, ("pose",), 64)
 
 
 def seen(scene, target):

@@ -140,7 +140,7 @@ def test_coverage_is_read_from_the_pixels_that_a_contour_touches(scene, shown):
     near = pj.Camera([0.15, 0.5, 2.4], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 192, 160)
     for camera in (CAMERA, near):
         unit = canonical(camera)
-        solver = Solver.of(scene, shown, np.ones(shown.shape), np.float64, ("pose",), 4)
+        solver = Solver.from_scene(scene, shown, np.ones(shown.shape), np.float64, ("pose",), 4)
         view = solver.look(unit, solver.finest)
         level = solver.levels[solver.finest]
         expected = level.window().of(drawn(camera, scene))

@@ -31,7 +31,7 @@ from pinhole_jax._solver.looks import Sums, View
 from pinhole_jax._solver.moves import canonical
 from pinhole_jax._solver.outline_errors import OutlineErrors
 from pinhole_jax._solver.priors import no_others
-from pinhole_jax._solver.solver import FAR_LEVEL, Found, Solver
+from pinhole_jax._solver.solver import FAR_LEVEL, Solution, Solver
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 START = pj.Camera([3, 1, 0.8], [0, 0, 0], [0, 0, 1], 0.8, W=48, H=40)
@@ -266,7 +266,7 @@ def test_likeliest_candidates_stand_first(logs, anywhere, expected):
     near: Any = SimpleNamespace(errors=lambda view: errors)
     none = np.zeros(0, bool)
     candidates = [
-        Candidate(Found(c, seen(), ()), seen(), Account(log, 1, 5, none, none, 0), near, near)
+        Candidate(Solution(c, seen(), ()), seen(), Account(log, 1, 5, none, none, 0), near, near)
         for c, log in zip(cameras, logs, strict=True)
     ]
     kept = likeliest(candidates, 3, None if anywhere else START)
@@ -301,7 +301,7 @@ class Walked(Solver):
     def descents(self, units, steps, number=-1):
         for unit in units:
             self.asked.append(number)
-            yield Found(unit, seen(self.squares), (1,))
+            yield Solution(unit, seen(self.squares), (1,))
 
 
 @pytest.mark.parametrize(
@@ -313,7 +313,7 @@ class Walked(Solver):
     ],
 )
 def test_walk_in_a_large_mask_ends_on_the_finest_level(squares, degrees, asked):
-    solver, best = Walked(squares), Found(canonical(START), seen(), ())
+    solver, best = Walked(squares), Solution(canonical(START), seen(), ())
     start = canonical(turned(START, [0, 0, 1], degrees, 1.0))
     found, again = places._led_to(solver, best, [start, start])
     assert solver.asked == [*asked, FAR_LEVEL]
@@ -323,7 +323,7 @@ def test_walk_in_a_large_mask_ends_on_the_finest_level(squares, degrees, asked):
 
 def test_walk_in_an_exact_mask_stays_on_the_finest_level():
     solver = Walked(0.12, exact=True)
-    best = Found(canonical(START), seen(), ())
+    best = Solution(canonical(START), seen(), ())
     assert None not in list(places._led_to(solver, best, [canonical(START)]))
     assert solver.asked == [-1]
 
@@ -340,4 +340,4 @@ def test_direction_that_shows_little_is_walked_along(shown, walks):
     vars(solver).update(freed=("pose",))
     triangle = np.diag([shown, 1, 1, 1, 1, 1])
     view = replace(solver.look(None), triangle=triangle, scale=np.ones(6))
-    assert len(places._doubtful(solver, Found(canonical(START), view, ()))) == walks
+    assert len(places._doubtful(solver, Solution(canonical(START), view, ()))) == walks

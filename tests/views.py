@@ -29,7 +29,7 @@ def taken(unit, scene, data, level, size=None) -> looks.View:
     problem, y = problem_of(scene, data), jnp.zeros(7, data.cells.dtype)
     move = problem.move(unit, level, FREE)
     look = eqx.filter_jit(looks.look)(y, move, problem, level, FREE, size)
-    return looks.View.of(looks.Origin(look, problem, level, FREE, size))
+    return looks.View.from_origin(looks.Origin(look, problem, level, FREE, size))
 
 
 def like(kind):

@@ -24,14 +24,14 @@ from .._solver.moves import Bounds, canonical
 from .._solver.outline_errors import OutlineErrors
 from .._solver.parameters import check_free, focal_is_free, in_one, with_lens
 from .._solver.priors import Pair, Prior, bounds_of, prior_of
-from .._solver.solver import Found, Solver, Stop
+from .._solver.solver import Solution, Solver, Stop
 from .drift import other_places
 from .edge import Edge
 from .implicit import camera_velocity, check_plain, through
 from .likelihood import Account
 from .occluders import from_all_sides, near_starts
 from .photo import check_photo, on_photo
-from .places import Free, at, mirrored, settled
+from .places import Free, mirrored, settled, transported
 from .refine import Candidate, Refiner, likeliest
 from .result import Context, Fit, Progress, progress_at, report, with_modes, with_unbelieved
 from .strategy import EXACT, everywhere, free_about, from_start, to_the_end, turns_freely
@@ -216,7 +216,7 @@ class _Mode:
     """A camera that may be right: what was `found`, the sums `over_all` pixels, how the mask's
     outline errs, and the account of its edge where the mask is not exact."""
 
-    found: Found
+    found: Solution
     over_all: Sums
     errors: OutlineErrors | None
     account: Account | None = None
@@ -277,7 +277,7 @@ def behind_something(refiner: Refiner, plain: Candidate, start: Camera | None) -
     """Candidates that see the object behind something: from what is known, then from all sides."""
     known = [plain.found.camera] if start is None else [start, plain.found.camera]
     solver, mask, edge = refiner.solver, refiner.mask, refiner.edge
-    look = lambda camera: Found(camera, solver.look(camera, solver.finest), ())
+    look = lambda camera: Solution(camera, solver.look(camera, solver.finest), ())
     found: list[Candidate] = []
     best = plain
     for proposed in (
@@ -295,7 +295,7 @@ def behind_something(refiner: Refiner, plain: Candidate, start: Camera | None) -
 
 
 def _solver(scene: Scene, mask: Mask, freed: tuple[str, ...], settings: Settings) -> Solver:
-    return Solver.of(
+    return Solver.from_scene(
         scene,
         mask.target,
         mask.weight,
@@ -322,7 +322,7 @@ def _fit_of(
     best, photo, freed = modes[0], settings.photo, solver.freed
 
     def reported(mode: _Mode, kind: Kind, free: list[Free]) -> Fit:
-        about = [at(solver, mode.found, x) for x in free]
+        about = [transported(solver, mode.found, x) for x in free]
         said = mode.account
         astray = None if said is None or edge is None else said.astray(edge)
         hidden = said is not None and bool(np.any(said.gross))

@@ -122,7 +122,7 @@ def _look(
     camera = with_lens(camera, freed)
     weights = check_weight(weight, camera.W, camera.H)
     image = np.full(weights.shape, 0.25)  # any mask
-    solver = Solver.of(scene, image, weights, camera.e.dtype, freed, 1)
+    solver = Solver.from_scene(scene, image, weights, camera.e.dtype, freed, 1)
     view = solver.look(canonical(camera), solver.finest)
     reported = to_units(view.to_reported, freed, camera)
     return freed, camera, np.asarray(view.triangle, float), reported, BLIND[solver.dtype]

@@ -19,7 +19,7 @@ from .._solver.kinds import Kind
 from .._solver.looks import Sums
 from .._solver.outline_errors import OutlineErrors
 from .._solver.problem import FINE_PX
-from .._solver.solver import Found, Solver, onward
+from .._solver.solver import Solution, Solver, onward
 from .._solver.stretches import coverage_of
 
 #: Where colours are learned and asked for, round by round: masks are off by some px at first. (A
@@ -64,7 +64,7 @@ class Refined(NamedTuple):
     """What a photo says: its camera and what is seen there, None where the mask's stays; sums over
     the mask, the kind of mask that colours are, how their outline errs, and a note."""
 
-    found: Found | None
+    found: Solution | None
     sums: Sums
     kind: Kind
     errors: OutlineErrors | None
@@ -98,9 +98,9 @@ def check_photo(photo: Any, W: int, H: int) -> np.ndarray:
     return array
 
 
-def on_photo(solver: Solver, mask: Mask, photo: np.ndarray, found: Found) -> Refined:
+def on_photo(solver: Solver, mask: Mask, photo: np.ndarray, found: Solution) -> Refined:
     """The camera that was found for a mask, refined on a photo."""
-    before = Outline.of(solver, solver.look(found.camera, solver.finest))
+    before = Outline.from_view(solver, solver.look(found.camera, solver.finest))
     read = before.read(photo, mask, ROUNDS[0])
     resolved = before.resolved(read)
     if not resolved >= LEAST_RESOLVED:
@@ -116,7 +116,7 @@ def on_photo(solver: Solver, mask: Mask, photo: np.ndarray, found: Found) -> Ref
         coarsest = max(own.finest - COARSER, 0)
         px = FINE_PX[own.dtype] if last else ROUGH_PX
         after = own.solve(refined.camera, range(coarsest, own.finest + 1), fine_px=px)
-        refined, now = onward(refined, after), Outline.of(own, after.view)
+        refined, now = onward(refined, after), Outline.from_view(own, after.view)
 
     taken, note = judged(mask, photo, before, now)
     over_all = solver.look(refined.camera, solver.finest).sums
@@ -137,7 +137,7 @@ class Outline(NamedTuple):
     length: np.ndarray
 
     @classmethod
-    def of(cls, solver: Solver, view: Any) -> "Outline":
+    def from_view(cls, solver: Solver, view: Any) -> "Outline":
         """Return it from a view on the finest level."""
         seen, coverage = view.level.window(), coverage_of(view)[::-1]
         window = _about(np.abs(coverage - 0.5) < 0.5, seen)

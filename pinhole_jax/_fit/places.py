@@ -19,7 +19,7 @@ from .._solver.looks import View
 from .._solver.outline_errors import is_drawn
 from .._solver.parameters import components
 from .._solver.revolution import Revolution
-from .._solver.solver import Found, Solver
+from .._solver.solver import Solution, Solver
 from .._solver.uncertainty import in_words, weak_moves
 
 #: How far a walk goes to either side (rad, at the object's radius), each place twice as far.
@@ -89,10 +89,10 @@ class Places(NamedTuple):
     """The best camera found, others that explain the mask as well, what is free about it, and
     rivals: others that explain it worse, but may be right if a part of it is not to be believed."""
 
-    best: Found
-    others: list[Found]
+    best: Solution
+    others: list[Solution]
     free: list[Free]
-    rivals: tuple[Found, ...] = ()
+    rivals: tuple[Solution, ...] = ()
 
 
 class _Direction(NamedTuple):
@@ -109,7 +109,7 @@ class _Direction(NamedTuple):
     line: Revolution | None = None
 
 
-def settled(solver: Solver, best: Found, start: Camera | None = None) -> Places:
+def settled(solver: Solver, best: Solution, start: Camera | None = None) -> Places:
     """Return the best camera along all that is nearly free, and what else is as good.
 
     No place takes over that is far from a `start`.
@@ -137,14 +137,16 @@ def settled(solver: Solver, best: Found, start: Camera | None = None) -> Places:
     return _as_good(solver, best, seen, last) if places.others or places.free else places
 
 
-def _likeliest(solver: Solver, best: Found, places: list[Found], start: Camera | None) -> Found:
+def _likeliest(
+    solver: Solver, best: Solution, places: list[Solution], start: Camera | None
+) -> Solution:
     """Return the best of some places that are not far from a start; where there are none, the best
     so far."""
     near = (p for p in places if start is None or angle(p.camera, start) < NEAR_START)
     return min(near, key=lambda p: _surplus(solver, p.view), default=best)
 
 
-def _worth_a_walk(solver: Solver, best: Found) -> list[_Direction]:
+def _worth_a_walk(solver: Solver, best: Solution) -> list[_Direction]:
     """Return the directions along which another camera may be as good.
 
     Facets bend what the Jacobian says of a round body's axis: what turns nearly about that turns
@@ -184,7 +186,7 @@ def better(solver: Solver, view: View, best: View) -> bool:
     return now < have - max(0.01 * abs(have), 2 * solver.kind.variance)
 
 
-def _nearly_free(solver: Solver, found: Found) -> list[_Direction]:
+def _nearly_free(solver: Solver, found: Solution) -> list[_Direction]:
     """Return the turns and shifts that hardly show."""
     triangle = np.asarray(found.view.triangle, float)
     if not np.all(np.isfinite(triangle)):
@@ -193,7 +195,7 @@ def _nearly_free(solver: Solver, found: Found) -> list[_Direction]:
     return [_direction(solver, found, *pair) for pair in weak]
 
 
-def _direction(solver: Solver, found: Found, value: float, vector: np.ndarray) -> _Direction:
+def _direction(solver: Solver, found: Solution, value: float, vector: np.ndarray) -> _Direction:
     """Return a direction of moves that shows this much (a singular value) as a turn or a shift."""
     turns = np.array([name.startswith("turn") for name in components(solver.freed)])
     radian = _radian(solver, found)
@@ -205,7 +207,7 @@ def _direction(solver: Solver, found: Found, value: float, vector: np.ndarray) -
     return _Direction(move * radian, axis, min(sigma, np.pi))
 
 
-def _round(solver: Solver, found: Found) -> list[_Direction]:
+def _round(solver: Solver, found: Solution) -> list[_Direction]:
     """Return the turns about lines that the body is round about: facets, teeth or sections there
     repeat, and each place where they fit is a minimum."""
     parts = components(solver.freed)
@@ -225,7 +227,7 @@ def _round(solver: Solver, found: Found) -> list[_Direction]:
     return result
 
 
-def _doubtful(solver: Solver, found: Found) -> list[_Direction]:
+def _doubtful(solver: Solver, found: Solution) -> list[_Direction]:
     """The turn or shift that shows least, if it does not show well: where a part of the object is
     just about to show, the mask says more on one side than the Jacobian does."""
     kind, triangle = solver.kind, np.asarray(found.view.triangle, float)
@@ -236,7 +238,7 @@ def _doubtful(solver: Solver, found: Found) -> list[_Direction]:
     return [_direction(solver, found, *pair) for pair in weak]
 
 
-def _radian(solver: Solver, found: Found) -> float:
+def _radian(solver: Solver, found: Solution) -> float:
     """Return the size of a move, in the solver's units, that is as large as a turn by one rad."""
     parts, scale = components(solver.freed), np.asarray(found.view.scale, float)
     for name, size in zip(parts, scale, strict=True):
@@ -249,20 +251,22 @@ def _radian(solver: Solver, found: Found) -> float:
     return float(np.clip(solver.subject.ball.radius / reach, 1e-3, 1) / size)
 
 
-def _along(solver: Solver, best: Found, direction: _Direction) -> list[Found]:
+def _along(solver: Solver, best: Solution, direction: _Direction) -> list[Solution]:
     """The ends of descents from both sides of a camera."""
     if direction.line is not None:
         return _around(solver, best, direction.line)
     return _strides(solver, best, direction, [s * x for s in (1, -1) for x in STRIDES])
 
 
-def _strides(solver: Solver, best: Found, direction: _Direction, far: list[float]) -> list[Found]:
+def _strides(
+    solver: Solver, best: Solution, direction: _Direction, far: list[float]
+) -> list[Solution]:
     """The ends of descents from distances (rad) along a direction."""
     starts = (solver.step(best.camera, solver.finest, x * direction.move) for x in far)
     return _finite(p for p in _led_to(solver, best, starts) if p is not None)
 
 
-def _around(solver: Solver, best: Found, line: Revolution) -> list[Found]:
+def _around(solver: Solver, best: Solution, line: Revolution) -> list[Solution]:
     """The ends of descents from likely cameras all round a line, and this many more while
     those are as good."""
     for camera, other, places in solver.walked:
@@ -294,7 +298,7 @@ def _around(solver: Solver, best: Found, line: Revolution) -> list[Found]:
     return places
 
 
-def _led_to(solver: Solver, best: Found, starts: Iterable[Camera]) -> Iterator[Found | None]:
+def _led_to(solver: Solver, best: Solution, starts: Iterable[Camera]) -> Iterator[Solution | None]:
     """Yield where descents lead to: on a level where steps lead far, and from another place there
     on the finest one; None for one that leads to a place that is known."""
     number, known = _walked_on(solver), [best.camera]
@@ -316,7 +320,7 @@ def _walked_on(solver: Solver) -> int:
     return solver.finest if solver.kind.exact else solver.far
 
 
-def _alike(solver: Solver, best: Found) -> list[Found]:
+def _alike(solver: Solver, best: Solution) -> list[Solution]:
     """The ends of descents from the likeliest cameras that see the facets alike."""
     cameras = [_rotated(best.camera, *turn) for turn in solver.subject.turns]
     surplus = _glances(solver, cameras, solver.finest)
@@ -332,25 +336,25 @@ def _glances(solver: Solver, cameras: list[Camera], number: int) -> np.ndarray:
     return np.array([view.squares if np.isfinite(view.squares) else np.inf for view in views])
 
 
-def _descended(solver: Solver, cameras: Iterable[Camera], number: int = -1) -> Iterator[Found]:
+def _descended(solver: Solver, cameras: Iterable[Camera], number: int = -1) -> Iterator[Solution]:
     return solver.descents(cameras, min(STEPS, solver.max_steps), number)
 
 
-def _finite(places: Iterable[Found]) -> list[Found]:
+def _finite(places: Iterable[Solution]) -> list[Solution]:
     return [p for p in places if np.isfinite(p.view.squares)]
 
 
 def _as_good(
-    solver: Solver, best: Found, seen: list[Found], directions: list[_Direction]
+    solver: Solver, best: Solution, seen: list[Solution], directions: list[_Direction]
 ) -> Places:
     """Return the best, and those seen that are other places and as good: a few, or free
     directions."""
-    directions = [at(solver, best, d) for d in directions]
+    directions = [transported(solver, best, d) for d in directions]
     sigma = max(min(d.sigma for d in directions), 1e-12)
     apart = max(APART, SIGMAS * sigma)
     exact = solver.kind.exact and solver.kind.explains(best.view.touched_misfit, True)
 
-    def others(places: list[Found]) -> list[Found]:
+    def others(places: list[Solution]) -> list[Solution]:
         as_good = []
         for place in places:
             far = separation(solver, place.camera, best.camera)
@@ -366,7 +370,7 @@ def _as_good(
     return Places(best, [], _intervals(solver, best, equal, directions))
 
 
-def at(solver: Solver, found: Found, direction: Any) -> Any:
+def transported(solver: Solver, found: Solution, direction: Any) -> Any:
     """Return a `_Direction`, or a `Free` one, as moves of a camera that it was not taken at."""
     if direction.axis is None:
         return direction
@@ -377,7 +381,7 @@ def at(solver: Solver, found: Found, direction: Any) -> Any:
 
 
 def _intervals(
-    solver: Solver, best: Found, equal: list[Found], directions: list[_Direction]
+    solver: Solver, best: Solution, equal: list[Solution], directions: list[_Direction]
 ) -> list[Free]:
     """The free intervals of directions if these places are as good as the best."""
     turns = [turned_by(best.camera, p.camera) for p in equal]
@@ -403,8 +407,8 @@ def _intervals(
     return result
 
 
-def _distinct(solver: Solver, places: list[Found], apart: float) -> list[Found]:
-    distinct: list[Found] = []
+def _distinct(solver: Solver, places: list[Solution], apart: float) -> list[Solution]:
+    distinct: list[Solution] = []
     for place in sorted(places, key=lambda p: _surplus(solver, p.view)):
         if all(separation(solver, place.camera, k.camera) > apart for k in distinct):
             distinct.append(place)
@@ -434,7 +438,7 @@ def turned_by(a: Camera, b: Camera) -> np.ndarray:
     return Rotation.from_matrix(axes_of(b).T @ axes_of(a)).as_rotvec()
 
 
-def mirrored(solver: Solver, found: Found) -> Iterator[Camera]:
+def mirrored(solver: Solver, found: Solution) -> Iterator[Camera]:
     """Yield views that an object shows alike: one that is near its own mirror image, in its
     principal axes, half turns about these, and turned so that near and far change places, which
     changes a silhouette only by perspective; turns that bring its faces to one another."""

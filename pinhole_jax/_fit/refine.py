@@ -13,7 +13,7 @@ from .._mask.mask import Mask
 from .._solver.looks import View
 from .._solver.outline_errors import OutlineErrors, is_drawn
 from .._solver.problem import COARSE_PX, FINE_PX
-from .._solver.solver import LEAST_VARIANCE, ONE_BIT, Found, Solver, onward
+from .._solver.solver import LEAST_VARIANCE, ONE_BIT, Solution, Solver, onward
 from .edge import Edge, edge_of, outline_seen
 from .likelihood import Account, account, believed
 
@@ -42,7 +42,7 @@ class Candidate:
     """A camera that may be right: what was `found` on the pixels that count, the `whole` view,
     the account of the mask's edge, and the solver of the pixels that count."""
 
-    found: Found
+    found: Solution
     whole: View
     account: Account | None
     near: Solver
@@ -78,7 +78,7 @@ class Refiner:
         return cls(solver, mask, edge_of(mask), outlier_px)
 
     def candidates(
-        self, cameras: Iterable[Found], start: Camera | None = None, best: float | None = None
+        self, cameras: Iterable[Solution], start: Camera | None = None, best: float | None = None
     ) -> list[Candidate]:
         """The candidates that cameras become, but for those that others rule out: the first ones,
         or where these are proposals beside a `best` likelihood (its logarithm) the likeliest."""
@@ -93,7 +93,7 @@ class Refiner:
         return done
 
     def _refined(
-        self, found: Found, said: Account | None, start: Camera | None, least: float
+        self, found: Solution, said: Account | None, start: Camera | None, least: float
     ) -> Candidate | None:
         begin, gross = found.camera, np.zeros(len(self.edge.at), bool)
         if said is not None:

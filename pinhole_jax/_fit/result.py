@@ -16,7 +16,7 @@ from .._solver.moves import Bounds, displaced, on_film
 from .._solver.outline_errors import OutlineErrors, is_drawn
 from .._solver.parameters import LABELS, PARAMETERS, components, labels_of
 from .._solver.problem import COSINE, FINE_PX, UNIT_PX
-from .._solver.solver import Found, Stop
+from .._solver.solver import Solution, Stop
 from .._solver.uncertainty import BLIND, covariance, in_words, weak_directions, weak_moves
 from .places import Free
 from .words import ParameterTable, notes, parameter_table, table
@@ -207,7 +207,7 @@ class Context(NamedTuple):
 
 
 def report(
-    camera: Camera, found: Found, over_all: Sums, freed: tuple[str, ...], context: Context
+    camera: Camera, found: Solution, over_all: Sums, freed: tuple[str, ...], context: Context
 ) -> Fit:
     """The fit that a user reads."""
     at, view, steps, way, _ = found

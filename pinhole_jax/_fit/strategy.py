@@ -14,7 +14,7 @@ from .._solver.moves import canonical
 from .._solver.outline_errors import is_drawn
 from .._solver.parameters import components, focal_is_free
 from .._solver.problem import FINE_PX
-from .._solver.solver import Found, Solver, Stop, onward
+from .._solver.solver import Solution, Solver, Stop, onward
 from .._solver.uncertainty import free_turns
 from .places import (
     NEAR_START,
@@ -78,7 +78,7 @@ def from_start(solver: Solver, mask: Mask, start: Camera, on_stop: OnStop) -> Pl
 
 
 def looked_round(
-    solver: Solver, mask: Mask, found: Found, start: Camera, on_stop: OnStop
+    solver: Solver, mask: Mask, found: Solution, start: Camera, on_stop: OnStop
 ) -> Places:
     """The places that explain the mask best, or as well as a descent from a start, the
     nearest to the start first."""
@@ -101,10 +101,12 @@ def looked_round(
     return _nearest_first(places, start)
 
 
-def _with_the_searched(solver: Solver, places: Places, seen: list[Found], start: Camera) -> Places:
+def _with_the_searched(
+    solver: Solver, places: Places, seen: list[Solution], start: Camera
+) -> Places:
     """Return the best of all with what a search found and what it looks like, walked along."""
 
-    def not_copies(found: list[Found], near: Found) -> list[Found]:
+    def not_copies(found: list[Solution], near: Solution) -> list[Solution]:
         return [f for f in found if not _copied(solver, f, near, start)]
 
     # The search knew no start, which rules out what is as good only far from it.
@@ -120,7 +122,7 @@ def _with_the_searched(solver: Solver, places: Places, seen: list[Found], start:
     return with_others(solver, walked, more, walked.free)
 
 
-def _copied(solver: Solver, found: Found, near: Found, start: Camera) -> bool:
+def _copied(solver: Solver, found: Solution, near: Solution, start: Camera) -> bool:
     """True if a camera is as good as another one, but only far from the start."""
     views = (found.view, near.view), (near.view, found.view)
     equal = not any(better(solver, *pair) for pair in views)
@@ -137,7 +139,7 @@ def _nearest_first(places: Places, start: Camera) -> Places:
 
 
 def with_others(
-    solver: Solver, places: Places, more: list[Found], free: list[Free] | None = None
+    solver: Solver, places: Places, more: list[Solution], free: list[Free] | None = None
 ) -> Places:
     """Return the best of all, and what explains the mask as well."""
     if not more:
@@ -154,7 +156,7 @@ def with_others(
     return places._replace(others=others, rivals=tuple(rivals))
 
 
-def _within(places: Places, solver: Solver, found: Found) -> bool:
+def _within(places: Places, solver: Solver, found: Solution) -> bool:
     """True if a camera is the best one but for a move that is free."""
     turn = turned_by(places.best.camera, found.camera)
     far = float(np.linalg.norm(turn))
@@ -171,13 +173,13 @@ def everywhere(solver: Solver, mask: Mask, on_stop: OnStop) -> Places:
     return looked_alike(solver, found[0], found[1:])
 
 
-def searched(solver: Solver, mask: Mask, on_stop: OnStop, rounds: int) -> list[Found]:
+def searched(solver: Solver, mask: Mask, on_stop: OnStop, rounds: int) -> list[Solution]:
     """Return the cameras that a search over all views leads to, the best first.
 
     Further rounds try guesses that lie closer together, and other focal lengths where that is free,
     until the mask is explained as its kind allows.
     """
-    found: list[Found] = []
+    found: list[Solution] = []
     free = focal_is_free(solver.freed)
     source = guesses(mask, solver.subject.from_afar, solver.subject.ball)
     for n in range(rounds):
@@ -192,7 +194,7 @@ def searched(solver: Solver, mask: Mask, on_stop: OnStop, rounds: int) -> list[F
     return found
 
 
-def looked_alike(solver: Solver, found: Found, others: list[Found]) -> Places:
+def looked_alike(solver: Solver, found: Solution, others: list[Solution]) -> Places:
     """Return the best of a camera, others, and what is as good as it along walks and at views that
     look alike."""
     places = settled(solver, found)
@@ -200,7 +202,7 @@ def looked_alike(solver: Solver, found: Found, others: list[Found]) -> Places:
     return with_others(solver, places, [*others, *alike])
 
 
-def finished(solver: Solver, views: Iterable[Camera]) -> list[Found]:
+def finished(solver: Solver, views: Iterable[Camera]) -> list[Solution]:
     """The ends of descents from views that are nearly right, on the last levels, but for those that
     the first of these shows to be far worse than the best. (Coarser ones do not separate a tilt
     from its mirror image, and finer ones do not lead far.)"""
@@ -211,7 +213,7 @@ def finished(solver: Solver, views: Iterable[Camera]) -> list[Found]:
     return [onward(f, solver.solve(f.camera, fine)) for f in found] if fine else found
 
 
-def _likely(found: list[Found], times: float = WORSE) -> list[Found]:
+def _likely(found: list[Solution], times: float = WORSE) -> list[Solution]:
     """Return the cameras that are worth following further."""
     if not found:
         return []
@@ -221,11 +223,11 @@ def _likely(found: list[Found], times: float = WORSE) -> list[Found]:
 
 def _followed(
     solver: Solver, likely: Iterator[Camera], apart: float, on_stop: OnStop
-) -> list[Found]:
+) -> list[Solution]:
     """Return the cameras that the first few guesses, so far apart, lead to."""
     coarsest, *finer = range(len(solver.levels))
     seen: list[Camera] = []
-    found: list[Found] = []
+    found: list[Solution] = []
     for guess in likely:
         if all(angle(guess, other) > apart for other in seen):
             found.append(solver.solve(canonical(guess), [coarsest], coarse_px=ROUGH_PX))
@@ -239,7 +241,7 @@ def _followed(
     return found
 
 
-def equally_good(solver: Solver, found: list[Found]) -> list[Found]:
+def equally_good(solver: Solver, found: list[Solution]) -> list[Solution]:
     """The cameras that explain the mask as well as the first, the best, does."""
     best = found[0].view
     share = 0.0 if solver.kind.exact else EQUAL
@@ -252,7 +254,7 @@ def equally_good(solver: Solver, found: list[Found]) -> list[Found]:
     ]
 
 
-def to_the_end(solver: Solver, found: list[Found]) -> list[Found]:
+def to_the_end(solver: Solver, found: list[Solution]) -> list[Solution]:
     """Return cameras, which steps were left out for, as fine as the float type resolves them, and
     looked at."""
     px = FINE_PX[solver.dtype]
@@ -262,27 +264,27 @@ def to_the_end(solver: Solver, found: list[Found]) -> list[Found]:
     return [onward(f, solver.solve(f.camera, [solver.finest], fine_px=px)) for f in found]
 
 
-def free_about(solver: Solver, found: Found, places: Places) -> list[Free]:
+def free_about(solver: Solver, found: Solution, places: Places) -> list[Free]:
     """The free directions of a camera, one of some places or a rival of these."""
     if separation(solver, found.camera, places.best.camera) > ELSEWHERE:
         return settled(solver, found).free
     return places.free
 
 
-def _finite(found: list[Found]) -> list[Found]:
+def _finite(found: list[Solution]) -> list[Solution]:
     return [f for f in found if np.isfinite(f.view.squares)] or found[:1]
 
 
-def _one_of_each(found: list[Found], freed: tuple[str, ...]) -> list[Found]:
+def _one_of_each(found: list[Solution], freed: tuple[str, ...]) -> list[Solution]:
     """Return the finite ones, the best first, and of those with the same view the best."""
-    distinct: list[Found] = []
+    distinct: list[Solution] = []
     for f in sorted(_finite(found), key=lambda f: f.view.squares):
         if not any(_same(k, f, freed) for k in distinct):
             distinct.append(f)
     return distinct
 
 
-def _same(a: Found, b: Found, freed: tuple[str, ...]) -> bool:
+def _same(a: Solution, b: Solution, freed: tuple[str, ...]) -> bool:
     """True if two cameras look the same way, but for a turn that changes no pixel of a's."""
     axes_a, axes_b = (axes_of(f.camera) for f in (a, b))
     turn: Any = axes_a.T @ axes_b - np.eye(3)

@@ -40,7 +40,7 @@ from .._solver.least_squares import Solved, solve
 from .._solver.moves import canonical, on_film
 from .._solver.parameters import LABELS, labels_of
 from .._solver.priors import Others
-from .._solver.solver import Found, Solver
+from .._solver.solver import Solution, Solver
 from .lenses import known_by_others, share_means
 from .levels import Path, Tell, descend
 from .system import JointProblem, LevelEnd
@@ -228,7 +228,7 @@ def _paths_of_one_view(pose: LonePose, here: Path | None, start: State | None) -
         found = _keep_agreeing(problem, solver, mask, places, begin)
         paths = [onward(place) for place in found]
     else:
-        now = Found(camera, solver.look(camera), ())
+        now = Solution(camera, solver.look(camera), ())
         places = (
             looked_alike(solver, now, [])
             if begin is None
@@ -249,7 +249,7 @@ def _paths_of_one_view(pose: LonePose, here: Path | None, start: State | None) -
 
 def _keep_agreeing(
     problem: JointProblem, solver: Solver, mask: Mask, places: Places, start: Camera | None
-) -> list[Found]:
+) -> list[Solution]:
     """The best place, and others: of masks with outliers those that agree with most of the outline,
     as `fit_camera` has it."""
     found, reach = [places.best, *places.others], problem.outlier_px
@@ -261,7 +261,7 @@ def _keep_agreeing(
     return [c.found._replace(view=c.whole) for c in kept]
 
 
-def _is_same(solver: Solver, place: Found, other: Found) -> bool:
+def _is_same(solver: Solver, place: Solution, other: Solution) -> bool:
     near = separation(solver, place.camera, other.camera) < ONE_PLACE
     return bool(near and not better(solver, place.view, other.view))
 
@@ -325,7 +325,7 @@ def _lookalikes(pose: LonePose, best: Path, tell: Tell) -> list[Path]:
     turned into itself."""
     problem, state = pose.problem, best.descent.state
     eye, few = problem.eyes[0], problem.few(LOOKED_AT)
-    found = Found(eye.canonical(state), best.descent.seen[0].view, ())
+    found = Solution(eye.canonical(state), best.descent.seen[0].view, ())
     alike = [eye.with_camera(pose.name, c, state) for c in mirrored(eye.solver, found)]
     coarse = replace(few, depth=min(problem.levels, 2))
     here = sum(seen.view.squares for seen in coarse.look(state))

@@ -70,7 +70,7 @@ def joint_problem(
     options = outlier_px is not None, LEAST_CELLS if len(views) < MANY_VIEWS else FEW_CELLS
     # (A scene's arrays are not copied for each view.)
     scenes = {id(view.scene): (view.scene, cameras[view.camera].e.dtype) for view in views}
-    subjects = {key: Subject.of(*scene) for key, scene in scenes.items()}
+    subjects = {key: Subject.from_scene(*scene) for key, scene in scenes.items()}
     eyes = []
     for k, view in enumerate(views):
         name, mask = view.camera, _checked_mask(k, view, cameras, search, as_given)

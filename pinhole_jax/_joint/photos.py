@@ -131,4 +131,4 @@ def _learn(
 
 def _outlines(problem: JointProblem, state: State, photos: Photos) -> Outlines:
     eyes = {k: problem.eyes[k] for k in photos}
-    return {k: Outline.of(eye.solver, eye.look(state)) for k, eye in eyes.items()}
+    return {k: Outline.from_view(eye.solver, eye.look(state)) for k, eye in eyes.items()}

@@ -8,7 +8,7 @@ import numpy as np
 from .._camera.axes import axes_of
 from .._camera.camera import Camera
 from .._camera.poses import at_pose
-from .._fit.places import Free, at
+from .._fit.places import Free, transported
 from .._fit.result import (
     ASTRAY,
     LEAST_IOU,
@@ -23,7 +23,7 @@ from .._fit.result import (
 )
 from .._solver.looks import Sums
 from .._solver.moves import on_film
-from .._solver.solver import Found, Stop
+from .._solver.solver import Solution, Stop
 from .._solver.uncertainty import in_words
 from ..names import STATUSES
 from .agreement import Agreement
@@ -145,7 +145,7 @@ def _camera_fit(end: Outcome, name: str, views: tuple[ViewFit, ...], free: Seque
 
     estimates = camera_estimates(problem, name, state, seen.view)
     covariance = found.covariance_of(estimates)
-    free = [at(eye.solver, Found(eye.canonical(state), seen.view, ()), f) for f in free]
+    free = [transported(eye.solver, Solution(eye.canonical(state), seen.view, ()), f) for f in free]
     if free:
         _widen(covariance, found, numbers[0], estimates, free)
     masks, errors = [end.whole[k] for k in numbers], [views[k].mask_error for k in numbers]

@@ -105,7 +105,7 @@ def pyramid(
     shapes = [(-(-window.H // 2**k), -(-window.W // 2**k)) for k in range(depth + 1)]
     room = _room(sum(_cells(shape) for shape in shapes), least)
 
-    images = _halvings(_Image.of(window.of(target)), 0 if only_finest else depth)
+    images = _halvings(_Image.from_array(window.of(target)), 0 if only_finest else depth)
     some = within(weight, window)
     weights = _weights_of_levels(some, len(images))
     most = (
@@ -117,7 +117,7 @@ def pyramid(
         h, w = shapes[level]
         # What reaches out of the window does not count.
         beyond = h * 2**level > window.H, w * 2**level > window.W
-        rasters.append(_Raster.of(images[level], weights[level], most, beyond))
+        rasters.append(_Raster.from_image(images[level], weights[level], most, beyond))
         origin, scale = real([left / 2**level, bottom / 2**level]), real(H / 2**level)
         place = integer(start), integer(w), integer(h)
         levels.append(Level(*place, origin, scale, real(np.inf)))
@@ -132,7 +132,7 @@ class _Image(NamedTuple):
     one: float
 
     @classmethod
-    def of(cls, image: np.ndarray) -> "_Image":
+    def from_array(cls, image: np.ndarray) -> "_Image":
         """The image as bytes if it has bits or bytes, else as floats, and the value of 1 in it."""
         if image.dtype == bool:
             return cls(image.view(np.uint8), 1.0)
@@ -177,7 +177,7 @@ class _Raster(NamedTuple):
     weight: np.ndarray
 
     @classmethod
-    def of(
+    def from_image(
         cls, image: _Image, weight: Weights, most: float, beyond: tuple[bool, bool]
     ) -> "_Raster":
         """The pages of an image; the top row or last column is perhaps `beyond` the window."""

@@ -276,7 +276,7 @@ class View:
     by_joints: np.ndarray | None = None
 
     @classmethod
-    def of(cls, origin: Origin) -> "View":
+    def from_origin(cls, origin: Origin) -> "View":
         """The view of a look."""
         look = origin.look
         rows, n = np.asarray(look.rows), len(look.scale)

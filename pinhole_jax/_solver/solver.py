@@ -45,7 +45,7 @@ class Stop(NamedTuple):
     steps: int
 
 
-class Found(NamedTuple):
+class Solution(NamedTuple):
     """A camera (canonical), what is seen there, the steps taken on each level; the way there, from
     the start (0 steps) on, by levels or (a solver that records) by steps; whether the last steps
     ended by themselves, not at a limit."""
@@ -57,7 +57,7 @@ class Found(NamedTuple):
     ended: bool = False
 
 
-def onward(before: Found, after: Found) -> Found:
+def onward(before: Solution, after: Solution) -> Solution:
     """The end of a further descent, with the steps of both."""
     steps, way = before.steps + after.steps, before.way + after.way[1:]
     return after._replace(steps=steps, way=way)
@@ -98,11 +98,13 @@ class Solver:
     others: Others | None = None
     record: bool = False
     only_finest: bool = False
-    walked: list[tuple[Camera, Revolution, list[Found]]] = field(default_factory=list, init=False)
+    walked: list[tuple[Camera, Revolution, list[Solution]]] = field(
+        default_factory=list, init=False
+    )
     _errors: list[tuple[View, OutlineErrors | None]] = field(default_factory=list, init=False)
 
     @classmethod
-    def of(
+    def from_scene(
         cls,
         scene: Scene,
         target: np.ndarray,
@@ -117,7 +119,7 @@ class Solver:
     ) -> "Solver":
         """Return the solver of a scene and a mask, in a float type; `continued` as in `last_px`."""
         given = target, weights, freed, max_steps, bounds
-        made = cls.on(Subject.of(scene, dtype), *given, continued=continued)
+        made = cls.on(Subject.from_scene(scene, dtype), *given, continued=continued)
         return replace(made, prior=prior, record=record)
 
     @classmethod
@@ -301,7 +303,7 @@ class Solver:
         fine_px: float | None = None,
         steps: int | None = None,
         looks: bool = True,
-    ) -> Found:
+    ) -> Solution:
         """Return the camera found from level to level, and its view on the last of them.
 
         Steps of `coarse_px`, on the finest level of `fine_px` (None: of what the fit asks for), are
@@ -334,10 +336,12 @@ class Solver:
             view = end if end is not None and not looks else self.look(camera, levels[-1])
             self._widen(camera)
             if self.store.window == window:
-                return Found(camera, view, tuple(taken), tuple(way), taken[-1] < most)
+                return Solution(camera, view, tuple(taken), tuple(way), taken[-1] < most)
             # The view outgrew its window on the way: go on from there with a larger one.
 
-    def descents(self, cameras: Iterable[Camera], steps: int, number: int = -1) -> Iterator[Found]:
+    def descents(
+        self, cameras: Iterable[Camera], steps: int, number: int = -1
+    ) -> Iterator[Solution]:
         """The camera that `steps` steps on a level (-1: the last) reach from each start.
 
         A core works on each, also ahead of the caller. Each result lacks the way to it, and its
@@ -350,7 +354,7 @@ class Solver:
             further = lambda camera: self._further(camera, self.levels[number], px, steps)
             ends = in_threads(further, some, lambda camera: self.program(camera, number))
             for n, _, view in ends:
-                yield Found(view.camera, view, (n,), ended=n < steps)
+                yield Solution(view.camera, view, (n,), ended=n < steps)
 
     def program(self, camera: Camera, level: int) -> Hashable:
         """What tells the program that looks at a camera from others."""
@@ -371,7 +375,7 @@ class Solver:
         given = self._given(camera, level, px, steps)
         n, path, look = descended(*given)
         origin = Origin(look, given[1], level, self.freed, given[-1])
-        return int(n), np.asarray(path), View.of(origin)
+        return int(n), np.asarray(path), View.from_origin(origin)
 
     def _each_step(self, camera: Camera, level: int, end: Stop, path: np.ndarray) -> list[Stop]:
         """The end of each step of a level; those past `RECORDED` together."""

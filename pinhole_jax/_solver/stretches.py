@@ -95,7 +95,7 @@ def stretches_of(view: View, target: np.ndarray, weights: Weights) -> Stretches 
     weight = np.asarray(view.pixels.weight, float)[shown]
     if not np.any(weight):
         return None
-    coverage = Coverage.of(view)
+    coverage = Coverage.from_view(view)
     place = _places(view.pixels, level)[shown]
     beside, slope = _slopes(coverage, place)
     steepness = np.linalg.norm(slope, axis=1)
@@ -156,7 +156,7 @@ class Smoothed(NamedTuple):
 def smoothed_about(view: View, place: np.ndarray, rows: np.ndarray, reach: int = 2) -> Smoothed:
     """Return means over the pixels up to `reach` away each way from those (P, 2) of an outline;
     `rows` (P, k) are 0 beside it, and all is beside the window."""
-    coverage = Coverage.of(view)
+    coverage = Coverage.from_view(view)
     H, W = coverage.shape
     width = W + 2 * reach
     steps = np.indices((2 * reach + 1,) * 2).reshape(2, -1)
@@ -246,7 +246,7 @@ class Coverage(NamedTuple):
     before: bool
 
     @classmethod
-    def of(cls, view: View) -> "Coverage":
+    def from_view(cls, view: View) -> "Coverage":
         pixels = view.pixels
         shape = int(view.level.H), int(view.level.W)
         return cls(shape, pixels.cell, pixels.coverage, pixels.after, pixels.before)

@@ -32,7 +32,7 @@ class Subject:
     corners: np.ndarray
 
     @classmethod
-    def of(cls, scene: Scene, dtype: Any) -> "Subject":
+    def from_scene(cls, scene: Scene, dtype: Any) -> "Subject":
         """Return a scene as a fit of a float type looks at it."""
         box = np.asarray(bounding_box(scene), float)
         ball = ball_about(box)
