@@ -28,6 +28,11 @@ class Trust(NamedTuple):
     - `picture`: the film by bands of px, with the outline.
 
     Parameters that the mask does not determine are left out.
+
+    ```python
+    trust = pj.plot.trust(fit, scene)
+    print(trust.object, trust.point)
+    ```
     """
 
     places: Float[np.ndarray, "n 2"]
