@@ -133,7 +133,8 @@ def broken(target: Target, path: Path) -> BaseException | None:
     try:
         target.read(path)
     except ValueError as error:
-        return None if "`" in str(error) and type(error) is ValueError else error
+        named = "`" in str(error) or "(in " in str(error)
+        return None if named and type(error) is ValueError else error
     except OSError:
         return None
     except BaseException as error:

@@ -216,3 +216,11 @@ def test_frames_intrinsics_come_before_the_files(tmp_path, frame, wanted):
     np.testing.assert_allclose(np.diag(camera.K)[:2], (fx, fy), rtol=1e-12)
     assert type(lens).__name__ == model
     assert (float(lens.k1), p1 and float(lens.p1)) == (k1, p1)
+
+
+def test_field_whose_name_is_a_number_is_passed_over(tmp_path):
+    path = tmp_path / "camera.yaml"
+    camera = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
+    formats.write(path, {"camera": camera})
+    path.write_text(path.read_text() + "12: [1, 2]\n")
+    assert formats.read_one(path).W == 96

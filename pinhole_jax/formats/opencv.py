@@ -202,7 +202,7 @@ def _known(file: Fields) -> Fields:
         if isinstance(value, str | None) and value in NULLS:
             continue
         if name is None:
-            known.update(_lens_model(file, str(key), known))
+            known.update(_lens_model(file, str(key), value, known))
         elif name in known:
             raise file.wrong(name, "one such field", f"{str(key)!r} too")
         else:
@@ -216,9 +216,9 @@ def _plain(key: Any) -> str:
     return re.sub(r"[_.\-\s]", "", str(key)).lower()
 
 
-def _lens_model(file: Fields, key: str, known: dict[str, Any]) -> dict[str, bool]:
+def _lens_model(file: Fields, key: str, value: Any, known: dict[str, Any]) -> dict[str, bool]:
     """Return a `fisheye` flag if a field is about the lens's model, else nothing."""
-    plain, value = _plain(key), file.data[key]
+    plain = _plain(key)
     is_model = MODELS.fullmatch(plain)
     if plain in FLAGS:
         fisheye = file.flag(key)
