@@ -133,7 +133,7 @@ def broken(target: Target, path: Path) -> BaseException | None:
     try:
         target.read(path)
     except ValueError as error:
-        named = "`" in str(error) or "(in " in str(error)
+        named = re.search(r"`|\(in |, line \d", str(error))  # a field, a file, or a file's line
         return None if named and type(error) is ValueError else error
     except OSError:
         return None
