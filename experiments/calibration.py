@@ -246,8 +246,8 @@ def trial(number: int, kind: str, makers: dict[str, Callable]) -> dict:
     fit = pj.fit_camera(draw.scene, mask, draw.start, draw.free, weight=draw.weight)
     row = {"shape": str(shape), "status": fit.status, "share hidden": draw.hidden}
     row |= {"size, px": draw.size, "phi is free": "phi" in draw.free, **facts}
-    if not np.all(np.isfinite(fit.std)):
-        return row
+    if fit.status != "converged" or not np.all(np.isfinite(fit.std)):
+        return row  # (Only `converged` fits count: `calibrated`.)
     row |= {"near-symmetry": near_symmetry(fit), "read": fit.mask_error and [*fit.mask_error]}
     return {**row, **ranks(fit, draw.truth, used(draw.scene, draw.truth, random))}
 
