@@ -21,7 +21,7 @@ from .._scene.scene import Scene, check_scene
 from .._solver.kinds import Kind
 from .._solver.looks import Sums
 from .._solver.moves import Bounds, canonical
-from .._solver.outline_errors import OutlineErrors
+from .._solver.outline_errors import OutlineErrors, is_drawn
 from .._solver.parameters import check_free, focal_is_free, in_one, with_lens
 from .._solver.priors import Pair, Prior, bounds_of, prior_of
 from .._solver.solver import Solution, Solver, Stop
@@ -31,7 +31,7 @@ from .implicit import camera_velocity, check_plain, through
 from .likelihood import Account
 from .occluders import from_all_sides, near_starts
 from .photo import check_photo, on_photo
-from .places import Free, mirrored, settled, transported
+from .places import Free, interval, mirrored, settled, transported
 from .refine import Candidate, Refiner, likeliest
 from .result import Context, Fit, Progress, progress_at, report, with_modes, with_unbelieved
 from .strategy import EXACT, everywhere, free_about, from_start, to_the_end, turns_freely
@@ -268,7 +268,7 @@ def _fit(
         modes = [_Mode(c.found, c.whole.sums, c.errors, c.account) for c in kept]
 
     # 5. Status, covariance, words.
-    fit = _fit_of(solver, mask, modes, free, edge, start is None, settings)
+    fit = _fit_of(solver, near, mask, modes, free, edge, start is None, settings)
     weights = near.weights
     return fit, lambda: weights.image() if isinstance(weights, NearWeights) else weights
 
@@ -311,6 +311,7 @@ def _solver(scene: Scene, mask: Mask, freed: tuple[str, ...], settings: Settings
 
 def _fit_of(
     solver: Solver,
+    near: Solver,
     mask: Mask,
     modes: list[_Mode],
     free: list[Free],
@@ -330,10 +331,14 @@ def _fit_of(
         return report(mask.camera, mode.found, mode.over_all, freed, context)
 
     said = None if photo is None else on_photo(solver, mask, photo, best.found)
-    fit, *others = (reported(mode, solver.kind, free) for mode in modes)
+    known = free
+    if said is None or said.found is None or len(modes) > 1:
+        drawn = turns_freely(freed) and is_drawn(best.errors)
+        known = [*free, *interval(near, best.found, best.errors)] if drawn else free
+    fit, *others = (reported(mode, solver.kind, known) for mode in modes)
     if said is not None:
         if said.found is not None:
-            open_still = [f for f in free if np.isinf(f.ahead)]
+            open_still = [*(f for f in free if np.isinf(f.ahead)), *said.free]
             fit = reported(_Mode(said.found, said.sums, said.errors), said.kind, open_still)
         fit = fit._replace(weak=(*fit.weak, said.note))
     if edge is not None and best.account is not None:

@@ -17,10 +17,11 @@ from .._mask.matte import Band, Matte, light, matte, tiles
 from .._mask.target import NOISE, Window, edge_distance
 from .._solver.kinds import Kind
 from .._solver.looks import Sums
-from .._solver.outline_errors import OutlineErrors
+from .._solver.outline_errors import OutlineErrors, is_drawn
 from .._solver.problem import FINE_PX
 from .._solver.solver import Solution, Solver, onward
 from .._solver.stretches import coverage_of
+from .places import Free, interval
 
 #: Where colours are learned and asked for, round by round: masks are off by some px at first. (A
 #: fourth round changes nothing; the last one's tiles hold what is seen within 10 px.)
@@ -62,12 +63,14 @@ COLOURS = Kind("photo", 0.0, np.inf, 0.0, False)
 
 class Refined(NamedTuple):
     """What a photo says: its camera and what is seen there, None where the mask's stays; sums over
-    the mask, the kind of mask that colours are, how their outline errs, and a note."""
+    the mask, the kind of mask that colours are, how their outline errs, how far that leaves a turn
+    open, and a note."""
 
     found: Solution | None
     sums: Sums
     kind: Kind
     errors: OutlineErrors | None
+    free: list[Free]
     note: str
 
 
@@ -104,7 +107,7 @@ def on_photo(solver: Solver, mask: Mask, photo: np.ndarray, found: Solution) -> 
     read = before.read(photo, mask, ROUNDS[0])
     resolved = before.resolved(read)
     if not resolved >= LEAST_RESOLVED:
-        return Refined(None, found.view.sums, COLOURS, None, unresolved(resolved))
+        return Refined(None, found.view.sums, COLOURS, None, [], unresolved(resolved))
 
     own, refined, now = solver.like(COLOURS), found, before
     for number, band in enumerate(ROUNDS):
@@ -122,9 +125,10 @@ def on_photo(solver: Solver, mask: Mask, photo: np.ndarray, found: Solution) -> 
     over_all = solver.look(refined.camera, solver.finest).sums
     sums = over_all._replace(touched=refined.view.sums.touched)
     if not taken:
-        return Refined(None, sums, COLOURS, None, note)
+        return Refined(None, sums, COLOURS, None, [], note)
     errors = own.errors(refined.view)
-    return Refined(refined, sums, COLOURS, errors, note)
+    free = interval(own, refined, errors) if is_drawn(errors) else []
+    return Refined(refined, sums, COLOURS, errors, free, note)
 
 
 class Outline(NamedTuple):

@@ -16,7 +16,7 @@ from .._camera.axes import angle, axes_of
 from .._camera.camera import Camera
 from .._mask.search import sphere_points
 from .._solver.looks import View
-from .._solver.outline_errors import is_drawn
+from .._solver.outline_errors import OutlineErrors, is_drawn
 from .._solver.parameters import components
 from .._solver.revolution import Revolution
 from .._solver.solver import Solution, Solver
@@ -33,6 +33,12 @@ EQUAL_TIMES = 30.0
 #: ... of a mask that a person or a network drew, whose errors along stretches are counted already:
 #: one is a hundred times as likely as the other.
 DRAWN_TIMES = 2 * np.log(100)
+#: How many of the weakest directions are followed to where a drawn mask forbids them, how many
+#: standard errors away at first (between these angles, rad), in how many steps each, the last one
+#: that which gains less than this share of what is lost; an interval counts if it is this many
+#: times as wide as the Jacobian says.
+LOOKED, PROFILE_SIGMAS, PROFILE_RAD = 2, np.array([2.0, 5.0]), np.deg2rad([1, 25])
+PROFILE_STEPS, PROFILE_ENDS, WIDER = 5, 0.02, 1.3
 #: Places along a walk are others if they leave this share of what the Jacobian foretells at their
 #: distance, or less.
 LIKE_FORETOLD = 0.5
@@ -160,6 +166,70 @@ def _worth_a_walk(solver: Solver, best: Solution) -> list[_Direction]:
     elif any(d.axis is not None for d in other):
         return other
     return other + round_about
+
+
+def interval(solver: Solver, best: Solution, errors: OutlineErrors | None) -> list[Free]:
+    """Return the turn that a drawn mask, which errs so, leaves more open than the Jacobian says,
+    and how far.
+
+    Its errors carry a fit along curved valleys to where they end, and there all looks determined.
+    So cameras that are turned by some standard errors, and best so, are asked how much worse they
+    are: the profile of the likelihood, whose logarithm is as many times that of the squares as
+    there are independent errors.
+    """
+    triangle = np.asarray(best.view.triangle, float)
+    turns = [name.startswith("turn") for name in components(solver.freed)]
+    if errors is None or not (np.all(np.isfinite(triangle)) and any(turns)):
+        return []
+    widest, least = Free(np.zeros(len(turns)), 0.0, 0.0, None), solver.look(best.camera).squares
+    weak = weak_moves(triangle, components(solver.freed), 1.0)
+    directions = [_direction(solver, best, *pair) for pair in weak]
+    about = [d for d in directions if d.axis is not None and d.sigma < np.pi]
+    for direction in about[-LOOKED:]:
+        for far in np.unique(np.clip(PROFILE_SIGMAS * direction.sigma, *PROFILE_RAD)):
+            for side in (far, -far):
+                place, squares = _best_turned(solver, best, side * direction.move, least)
+                odds = errors.independent * np.log(max(squares / max(least, 1e-300), 1.0))
+                turn = turned_by(best.camera, place)
+                size = float(np.linalg.norm(turn))
+                open_by = size / max(odds, 0.5) ** 0.5
+                if np.isfinite(squares) and open_by > max(WIDER * direction.sigma, widest.ahead):
+                    widest = Free(np.zeros(len(turns)), open_by, open_by, turn / size)
+    if widest.axis is None:
+        return []
+    # Places in an interval are equally likely: one as long has this standard error.
+    ends = min(3**0.5 * widest.ahead, np.pi)
+    return [transported(solver, best, widest._replace(behind=ends, ahead=ends))]
+
+
+def _best_turned(
+    solver: Solver, best: Solution, move: np.ndarray, squares: float
+) -> tuple[Camera, float]:
+    """Return the best camera found among those that are as far turned from another one, which has
+    these squares, as a move turns it, and its sum of squares."""
+    parts = components(solver.freed)
+    turns = np.array([name.startswith("turn") for name in parts])
+    camera, least = solver.step(best.camera, solver.finest, move), (best.camera, np.inf)
+    far = angle(camera, best.camera)
+    for _ in range(PROFILE_STEPS):
+        view = solver.look(camera)
+        if not view.squares < least[1]:
+            break
+        least = camera, view.squares
+        away = np.zeros(len(parts))
+        away[turns] = axes_of(camera) @ turned_by(best.camera, camera)
+        away /= max(float(np.linalg.norm(away)), 1e-12)
+        along = np.linalg.svd(away[None])[2][1:].T
+        triangle = np.asarray(view.triangle, float) @ along
+        solution = np.linalg.lstsq(triangle, np.asarray(view.along, float), rcond=1e-3)[0]
+        step = -along @ solution
+        # (The odds would change by so little.)
+        if np.sum((triangle @ solution) ** 2) < PROFILE_ENDS * (view.squares - squares):
+            break
+        turn = float(np.linalg.norm(step[turns])) / _radian(solver, best)
+        step *= min(1.0, far / max(turn, 1e-12) / 2)
+        camera = solver.step(camera, solver.finest, step)
+    return least
 
 
 def equal_views(solver: Solver, view: View, best: View, most: float = np.inf) -> bool:
