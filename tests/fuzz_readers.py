@@ -92,9 +92,7 @@ def targets(folder: Path) -> dict[str, Target]:
         data = (folder / f"mask.{ending}").read_bytes()
         found[ending] = Target(f"mask.{ending}", pj.io.load_mask, data)
     rle = json.dumps({"size": [80, 96], "counts": [100, 20, 7560]}).encode()
-    found["rle"] = Target(
-        "rle.json", lambda path: pj.io.mask_of_rle(json.loads(path.read_bytes())), rle
-    )
+    found["rle"] = Target("rle.json", lambda path: pj.io.mask_of_rle(pj.io.load_json(path)), rle)
     return found
 
 
