@@ -13,7 +13,6 @@ t and b integrated out), the hypothesis that the mask is computed (q alone) amon
 covariance is the mean of the hypotheses'.
 """
 
-from math import lgamma
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,9 +27,8 @@ SIZES, LENGTHS, OWN = (0.08, 0.2, 0.5, 1.2, 3.0), (6.0, 16.0, 40.0, 100.0), (0.0
 #: The bias's standard deviation, in sizes of the other errors and in px beside that, and how likely
 #: it is: segmenters are off by as much as they waver, masks that were grown or shrunk by more.
 BIASES = ((1.0, 0.5, 0.8), (2.0, 2.5, 0.2))
-#: How likely it is beforehand that a mask is computed; above `SURE`, it is. (An interval of 95 %
-#: has no room for what is less likely.)
-COMPUTED, SURE = 0.5, 0.9
+#: How likely it is beforehand that a mask is computed; above `SURE`, it is.
+COMPUTED, SURE = 0.5, 0.99
 #: Below this likelihood of being computed a mask is drawn. (Masks off by 0.3 px: 1e-10 and less.)
 DRAWN = 0.05
 #: Of a computed mask's pixels beside the outline this many are on its wrong side. (Of 72 such masks
@@ -96,22 +94,18 @@ def outline_errors(
 
 
 def _odds_of_computed(beyond: int, pixels: int) -> float:
-    """The log odds that a computed mask of one bit has this many of an outline's pixels
-    on the wrong side, beside that a drawn one has (any share that is not less than its least): the
-    logarithm.
+    """The logarithm of the odds that a mask of one bit is computed, by the number of an outline's
+    pixels on the wrong side: a drawn one may have any share of them, up to a half.
 
     Where an outline is drawn, offsets of whole stretches may be those of a camera that is wrong,
     and what is left no larger than quantisation; but not its single pixels.
     """
-    from scipy.special import bdtr
+    from scipy.special import logsumexp
+    from scipy.stats import binom
 
-    right = max(pixels - beyond, 0)
-    computed = beyond * np.log(STRAYS) + right * np.log1p(-STRAYS)
-    drawn = lgamma(beyond + 1) + lgamma(right + 1) - lgamma(beyond + right + 2)
-    # (Of such shares, each as likely as any other beforehand, so many are not less.)
-    likely = bdtr(beyond, beyond + right + 1, LEAST_DRAWN) / (1 - LEAST_DRAWN)
-    drawn += np.log(max(likely, np.finfo(float).tiny))
-    return float(computed - drawn)
+    shares = np.geomspace(LEAST_DRAWN, 0.5, 100)
+    drawn = logsumexp(binom.logpmf(beyond, pixels, shares)) - np.log(len(shares))
+    return float(binom.logpmf(beyond, pixels, STRAYS) - drawn)
 
 
 def _weighed(stretches: Stretches, quantisation: float, odds: float) -> OutlineErrors:
