@@ -14,13 +14,14 @@ Centres = Literal["integer", "half"]
 #: A rotation matrix is orthogonal to this.
 ORTHOGONAL = 1e-4
 
-#: An array of NumPy's, or a traced one of JAX's.
+#: An array of NumPy's, or a traced one of JAX's; one number.
 Numbers = np.ndarray | Array
+Number = np.floating | Numbers
 
 
 def from_matrices(
     K: ArrayLike, R: ArrayLike, t: ArrayLike, W: int, H: int, pixel_centres: object
-) -> tuple[tuple[Numbers, Numbers, Numbers], tuple[Numbers, Numbers, Numbers], bool]:
+) -> tuple[tuple[Numbers, Numbers, Numbers], tuple[Number, Numbers, Number], bool]:
     """Return the pose, the intrinsics, and True for those of a camera without a lens.
 
     The pose is (e, p, u), the intrinsics are phi (rad), the principal point in film coordinates
