@@ -462,6 +462,51 @@ def test_bad_points_are_refused(change, message):
         pj.fit_points(**arguments)
 
 
+def around(number):
+    """Cameras about the points, nearer and farther."""
+    turns = 2 * np.pi * np.arange(number) / number
+    distances = 2.6 + 0.3 * (np.arange(number) % 3)
+    return [near([np.cos(t), np.sin(t), d]) for t, d in zip(turns, distances, strict=True)]
+
+
+def bent(views, random):
+    """Errors (V, 30, 2) that are smooth over the points of each view: 0.2 px a coefficient."""
+    x, y = GRID.T
+    shapes = np.stack([x, y, x * x, x * y, y * y], axis=-1)
+    return shapes @ random.normal(0, 0.2, (views, 5, 2))
+
+
+def lens(points2d, noise_px=None):
+    """The first view's fit with a lens that all share."""
+    shared = "phi", "principal_point"
+    return pj.fit_points(SOLID, points2d, near(EYES[0]), shared=shared, noise_px=noise_px)[0]
+
+
+def test_error_bars_hold_where_the_errors_of_a_view_are_alike():
+    """By 10 refits of 20 views; by independent errors they were off by 2.0 sigma (rms)."""
+    exact, by = seen(around(20), SOLID), []
+    for seed in range(10):
+        random = np.random.default_rng(seed)
+        fit = lens(exact + bent(20, random) + random.normal(0, 0.05, exact.shape))
+        numbers = [float(fit.camera.phi), *np.asarray(fit.camera.lens.principal_point)]
+        by.append((np.array(numbers) - [0.75, W / 2, H / 2]) / fit.std[-3:])
+    assert 0.7 < np.sqrt(np.mean(np.square(by))) < 1.3
+
+
+def test_error_bars_stay_where_errors_are_independent_or_given():
+    """They are those by `noise_px`, times how much larger the residuals are."""
+    random, exact = np.random.default_rng(0), seen(around(20), SOLID)
+    noisy = exact + random.normal(0, 0.1, exact.shape)
+    shown, given = lens(noisy), lens(noisy, 0.1)
+    assert 0.9 < shown.std[-1] / given.std[-1] < 1.1
+    np.testing.assert_allclose(shown.std / given.std, shown.std[-1] / given.std[-1], rtol=1e-5)
+    alike = noisy + bent(20, random)
+    shown, given = lens(alike), lens(alike, 0.1)
+    assert 0.9 < given.std[-1] / lens(noisy, 0.1).std[-1] < 1.1
+    larger = np.linalg.eigvals(np.linalg.solve(given.covariance, shown.covariance)).real
+    assert np.max(larger) > 2 * np.min(larger)
+
+
 def test_chessboards_are_calibrated_as_opencv_calibrates_them(shared):
     sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
     import real

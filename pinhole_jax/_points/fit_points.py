@@ -30,7 +30,7 @@ from .._solver.parameters import check_free, components, labels_of
 from .._solver.priors import Pair, bounds_of, prior_of
 from .._solver.uncertainty import BLIND, covariance, in_words, weak_directions
 from .descent import Options, PointDescent, descend
-from .noise import FEW, Noise, coordinates
+from .noise import FEW, Noise, beyond_noise, coordinates
 from .reprojection import Given, PointProblem, PointsSeen, PointView
 from .starts import begin
 
@@ -56,9 +56,11 @@ class PointFit(NamedTuple):
     - `names`: the fitted parameters, in the order of `covariance` (n, n) and `std` (n,), as in
       `Fit`. The covariance is that of the joint problem and assumes that all coordinates err
       independently and alike (those of points with weights, with variances in inverse proportion
-      to these), by `noise_px`, or by as much as the residuals say. Few coordinates say it badly:
-      where up to 30 more than unknowns do, it is widened so that 95 % intervals hold the truth
-      (Student's t), and where none does it is infinite. Points that are repeated count once.
+      to these), by `noise_px`, or by as much as the residuals say. Where these say that errors are
+      alike within each view, as a bent board's, it is widened by as much as views disagree. Few
+      coordinates say it badly: where up to 30 more than unknowns do, it is widened so that 95 %
+      intervals hold the truth (Student's t), and where none does it is infinite. Points that are
+      repeated count once.
     - `rms_px`: root mean square distance of the view's points from where they are seen, each as it
       counts.
     - `steps`: Levenberg-Marquardt steps.
@@ -278,6 +280,7 @@ def _reports(found: PointDescent, given: list[Given]) -> tuple[PointFit, ...]:
     seen = problem.look(views)
     parts = problem.parts(views, seen, 1.0)
     solved = solve(parts, problem.size, np.zeros(problem.size))
+    beyond = beyond_noise(parts, solved, found.noise)
     slope = np.sum([part.left @ part.rows[:, ~own] for part in parts], axis=0)
     whole = sum(each.squares for each in seen), 2.0 * sum(view.number for view in views)
     spare = () if found.noise.freedom > 0 else (_none_left_over(problem, views),)
@@ -289,7 +292,12 @@ def _reports(found: PointDescent, given: list[Given]) -> tuple[PointFit, ...]:
         places = [(view, seen[k]), *((other, other.look()) for other in found.others[k])]
         fit, *modes = (
             _report(
-                place, _join_others(look, known, slope, own), found.noise, found.limits[k], *whole
+                place,
+                _join_others(look, known, slope, own),
+                _moves_by_shared(look, own) @ beyond,
+                found.noise,
+                found.limits[k],
+                *whole,
             )
             for place, look in places
         )
@@ -317,6 +325,15 @@ def _join_others(
     return seen._replace(triangle=whole, along=np.linalg.lstsq(whole.T, gradient, rcond=None)[0])
 
 
+def _moves_by_shared(seen: PointsSeen, own: np.ndarray) -> np.ndarray:
+    """The derivative of a view's moves (n,) by shared ones as such (s,), its own following."""
+    scale = np.asarray(seen.scale, float)
+    rows = np.asarray(seen.triangle, float) / scale
+    result = np.eye(len(own))[:, ~own]
+    result[own] = -np.linalg.pinv(rows[:, own]) @ rows[:, ~own]
+    return result / scale[:, None]
+
+
 def _none_left_over(problem: PointProblem, views: list[PointView]) -> str:
     """A sentence: nothing shows how far points err."""
     some, unknowns = coordinates(views), problem.size
@@ -334,12 +351,19 @@ def _left_out(number: int, given: int) -> list[str]:
 
 
 def _report(
-    view: PointView, seen: PointsSeen, noise: Noise, limit: float, squares: float, count: float
+    view: PointView,
+    seen: PointsSeen,
+    beyond: np.ndarray,
+    noise: Noise,
+    limit: float,
+    squares: float,
+    count: float,
 ) -> PointFit:
     """The fit of a view, given what is seen there and what other views know.
 
-    Above the rms `limit` (px) it is a misfit; `squares` is the sum of this many residuals' squares
-    of all views.
+    `beyond` (n, s) is the root of its moves' covariance beyond that of independent errors. Above
+    the rms `limit` (px) it is a misfit; `squares` is the sum of this many residuals' squares of all
+    views.
     """
     freed, dtype = view.freed, np.dtype(view.film.e.dtype)
     triangle, ended = without_ended(seen.triangle, view.camera, freed, view.bounds)
@@ -352,6 +376,7 @@ def _report(
     blind, weak = weak_directions(triangle, components(freed), axes_of(camera), BLIND[dtype])
     reported = to_units(seen.to_reported, freed, camera)
     cov = covariance(triangle, reported, triangle.T @ triangle, BLIND[dtype])
+    cov += reported @ beyond @ (reported @ beyond).T
     # (Where nothing shows how points err, nothing is known.)
     known = np.isfinite(noise.variance)
     cov = noise.variance * cov if known else np.where(np.eye(len(cov)) > 0, np.inf, np.nan)

@@ -1,11 +1,12 @@
 """What points err by: given, or shown by the coordinates that are left over."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from .._joint.agreement import NORMAL_95
+from .._solver.least_squares import Rows, Solved
 from .._solver.parameters import labels_of
 from .._solver.problem import FINE_PX
 from .reprojection import PointProblem, PointView
@@ -21,6 +22,9 @@ FEW, MANY = 30, 1e9
 EXACT = 100
 #: A point whose weight is a smaller share of the largest shows nothing.
 NEGLIGIBLE = 1e-6
+#: Views disagree more than by chance with this probability. What a view alone knows but for a
+#: share `OTHERS` no other can contradict.
+CHANCE_OF_VIEWS, OTHERS = 1e-2, 1e-3
 #: A camera that leaves this share of the points' spread on the film, or this share of its diagonal,
 #: is a misfit, but not below this many px; or this many times the error that is given.
 SPREAD, DIAGONAL, LEAST_PX, TIMES = 0.1, 0.02, 1.0, 2.0
@@ -83,6 +87,43 @@ def noise_of(problem: PointProblem, views: Sequence[PointView], given: float | N
     if prior is None or left <= 0:
         return Noise(np.inf, 0)
     return Noise((float(prior.noise) / _widening(left)) ** 2, left)
+
+
+def beyond_noise(parts: list[Rows], solved: Solved, noise: Noise) -> np.ndarray:
+    """The root B (s, s) by which views that disagree widen the covariance of shared moves: by
+    B B^T times the noise's variance, 0 where independent errors explain it by chance.
+
+    Each view is a cluster: the sandwich of Bell and McCaffrey (2002), which has no bias where
+    errors are independent. Of few views it is noisy, so it is drawn towards its mean.
+    """
+    size = len(solved.shared)
+    if not (size and 0 < noise.shown < np.inf and noise.freedom < np.inf):
+        return np.zeros((size, size))
+    back, pulls, each, against = np.linalg.pinv(solved.triangle), [], [], []
+    for part in parts:  # in shared moves whose covariance is 1, all but these eliminated
+        left = part.left + part.rows @ solved.x[part.columns]
+        table = np.column_stack([part.rows[:, part.own], part.rows[:, ~part.own] @ back, left])
+        whole: Any = np.linalg.qr(table, mode="r")
+        r = whole[np.sum(part.own) :, np.sum(part.own) :]
+        values, vectors = np.linalg.eigh(r[:, :-1].T @ r[:, :-1])
+        known, vectors = values[values < 1 - OTHERS], vectors[:, values < 1 - OTHERS]
+        pulls.append(vectors @ ((vectors.T @ r[:, :-1].T @ r[:, -1]) / (1 - known) ** 0.5))
+        each.append(known)
+        against.append(vectors * (known**2 / (1 - known)) @ vectors.T)
+    from scipy.stats import f
+
+    # Were errors independent, the squares would be `mean` times chi2 / `freedom` (Satterthwaite).
+    if not any(map(len, each)):
+        return np.zeros((size, size))
+    mean = sum(float(np.sum(known)) for known in each)
+    spread = np.sum(np.sum(against, axis=0) ** 2) - np.sum(np.square(against))
+    freedom = mean**2 / (spread + sum(float(np.sum(known**2)) for known in each))
+    middle = np.transpose(pulls) @ np.array(pulls) / noise.shown
+    excess, share = float(np.trace(middle)) / mean, mean**2 / (mean**2 + freedom)
+    if not excess > f.ppf(1 - CHANCE_OF_VIEWS, freedom, noise.freedom):
+        return np.zeros((size, size))
+    values, vectors = np.linalg.eigh((1 - share) * middle + share * excess * np.eye(size))
+    return back @ vectors * np.sqrt(np.maximum(values - 1, 0))
 
 
 def left_over(problem: PointProblem, views: Sequence[PointView]) -> int:
