@@ -35,7 +35,7 @@ def fit():
     weights = np.ones((camera.H, camera.W))
     mask = np.hypot(*np.mgrid[-128:128, -128:128]) < 70
     solver = Solver.from_scene(scene, mask, weights, np.float32, ("pose", "phi"), 64)
-    ends = np.float32(1e-3), np.int32(1)
+    ends = np.float32(1e-3), np.float32(0), np.int32(1)
     level = solver.levels[solver.finest], *ends, solver.freed, size_of_looks(solver.levels)
     return descended, (canonical(camera), solver.problem, *level)
 

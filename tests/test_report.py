@@ -176,14 +176,14 @@ def test_browser_shows_the_page(text, tmp_path):
     path = tmp_path / "page.html"
     path.write_text(text.replace("</body>", measure + "</body>"), encoding="utf-8")
     common = (browser, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars")
-    size = ("--window-size=1000,4200", f"--user-data-dir={tmp_path / 'user'}")
+    size = ("--window-size=1000,4800", f"--user-data-dir={tmp_path / 'user'}")
     ask = lambda *what, page=path: subprocess.run(
         [*common, *size, *what, page.as_uri()], capture_output=True, timeout=120, check=True
     )
-    assert b'<body id="3,true,8,true,true,true">' in ask("--dump-dom").stdout
+    assert b'<body id="3,true,9,true,true,true">' in ask("--dump-dom").stdout
     ask(f"--screenshot={tmp_path / 'page.png'}")
     shot = np.asarray(Image.open(tmp_path / "page.png").convert("RGB")).astype(int)
-    assert shot.shape == (4200, 1000, 3)
+    assert shot.shape == (4800, 1000, 3)
     near = lambda colour: np.sum(np.max(np.abs(shot - colour), axis=2) < 8)
     assert near((251, 229, 214)) > 20_000  # the status, not to be trusted
     assert near((0, 240, 255)) > 300  # the outline
