@@ -7,7 +7,6 @@ from collections.abc import Callable
 
 import numpy as np
 import trimesh
-from scipy.spatial.transform import Rotation
 from trimesh import Trimesh, creation
 
 import pinhole_jax as pj
@@ -154,8 +153,3 @@ def scene(name: str, random: Random) -> pj.Scene:
 
 
 NAMES = (*SHAPES, "molecule")
-
-
-def anywhere(random: Random) -> np.ndarray:
-    """Axes of a camera that looks from anywhere."""
-    return Rotation.random(random_state=random).as_matrix()

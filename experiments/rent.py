@@ -51,8 +51,6 @@ class Constant(NamedTuple):
 
     def times(self, factor: float) -> Any:
         """The value times a factor: whole numbers stay whole, and at least 1."""
-        if isinstance(self.value, tuple):
-            return tuple(_times(x, factor) for x in self.value)
         return _times(self.value, factor)
 
 

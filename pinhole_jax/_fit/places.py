@@ -20,7 +20,7 @@ from .._solver.outline_errors import OutlineErrors, is_drawn
 from .._solver.parameters import components
 from .._solver.revolution import Revolution
 from .._solver.solver import Solution, Solver
-from .._solver.uncertainty import in_words, weak_moves
+from .._solver.uncertainty import WEAK, in_words, weak_moves
 
 #: How far a walk goes to either side (rad, at the object's radius), each place twice as far.
 STRIDES = np.deg2rad(1.5) * 2.0 ** np.arange(7)
@@ -177,14 +177,12 @@ def interval(solver: Solver, best: Solution, errors: OutlineErrors | None) -> li
     are: the profile of the likelihood, whose logarithm is as many times that of the squares as
     there are independent errors.
     """
-    triangle = np.asarray(best.view.triangle, float)
     turns = [name.startswith("turn") for name in components(solver.freed)]
-    if errors is None or not (np.all(np.isfinite(triangle)) and any(turns)):
+    if errors is None or not any(turns):
         return []
-    widest, least = Free(np.zeros(len(turns)), 0.0, 0.0, None), solver.look(best.camera).squares
-    weak = weak_moves(triangle, components(solver.freed), 1.0)
-    directions = [_direction(solver, best, *pair) for pair in weak]
+    directions = _nearly_free(solver, best, 1.0)
     about = [d for d in directions if d.axis is not None and d.sigma < np.pi]
+    widest, least = Free(np.zeros(len(turns)), 0.0, 0.0, None), solver.look(best.camera).squares
     for direction in about[-LOOKED:]:
         for far in np.unique(np.clip(PROFILE_SIGMAS * direction.sigma, *PROFILE_RAD)):
             for side in (far, -far):
@@ -256,12 +254,12 @@ def better(solver: Solver, view: View, best: View) -> bool:
     return now < have - max(0.01 * abs(have), 2 * solver.kind.variance)
 
 
-def _nearly_free(solver: Solver, found: Solution) -> list[_Direction]:
-    """Return the turns and shifts that hardly show."""
+def _nearly_free(solver: Solver, found: Solution, share: float = WEAK) -> list[_Direction]:
+    """The turns and shifts that show less than a share of the best-seen move, the least last."""
     triangle = np.asarray(found.view.triangle, float)
     if not np.all(np.isfinite(triangle)):
         return []
-    weak = weak_moves(triangle, components(solver.freed))
+    weak = weak_moves(triangle, components(solver.freed), share)
     return [_direction(solver, found, *pair) for pair in weak]
 
 
@@ -300,12 +298,9 @@ def _round(solver: Solver, found: Solution) -> list[_Direction]:
 def _doubtful(solver: Solver, found: Solution) -> list[_Direction]:
     """The turn or shift that shows least, if it does not show well: where a part of the object is
     just about to show, the mask says more on one side than the Jacobian does."""
-    kind, triangle = solver.kind, np.asarray(found.view.triangle, float)
+    kind = solver.kind
     sharp = kind.exact and not kind.spread and found.view.touched_misfit <= kind.most
-    if sharp or not np.all(np.isfinite(triangle)):
-        return []
-    weak = weak_moves(triangle, components(solver.freed), DOUBTFUL)[-1:]
-    return [_direction(solver, found, *pair) for pair in weak]
+    return [] if sharp else _nearly_free(solver, found, DOUBTFUL)[-1:]
 
 
 def _radian(solver: Solver, found: Solution) -> float:

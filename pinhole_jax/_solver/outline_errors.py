@@ -101,11 +101,11 @@ def _odds_of_computed(beyond: int, pixels: int) -> float:
     and what is left no larger than quantisation; but not its single pixels.
     """
     from scipy.special import logsumexp
-    from scipy.stats import binom
 
     shares = np.geomspace(LEAST_DRAWN, 0.5, 100)
-    drawn = logsumexp(binom.logpmf(beyond, pixels, shares)) - np.log(len(shares))
-    return float(binom.logpmf(beyond, pixels, STRAYS) - drawn)
+    likely = lambda share: beyond * np.log(share) + (pixels - beyond) * np.log1p(-share)
+    drawn = logsumexp(likely(shares)) - np.log(len(shares))
+    return float(likely(STRAYS) - drawn)
 
 
 def _weighed(stretches: Stretches, quantisation: float, odds: float) -> OutlineErrors:
