@@ -55,7 +55,7 @@ def zoomed(camera: pj.Camera, times: float) -> pj.Camera:
 
 
 def row_of(name: str, fits: list[tuple[pj.Fit, pj.Camera, float]]) -> dict:
-    """Return how many fits are right, how exact they are, and how long they take."""
+    """Return a table's row: the number of right fits, their errors and their time."""
     off = [degrees(fit.camera, truth) for fit, truth, _ in fits]
     right = [x < RIGHT and f.status == "converged" for x, (f, *_) in zip(off, fits, strict=True)]
     seconds = float(np.median([s for *_, s in fits[1:]] or [np.nan]))

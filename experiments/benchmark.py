@@ -331,8 +331,8 @@ def resident(field: str) -> int:
 
 
 def held(faces: float, px: int, views: int) -> dict:
-    """Return MB of the scene, of what is returned, and of what is resident while masks are made:
-    of one view, or of as many under `vmap`."""
+    """Return MB of the scene, of the result and of the resident process while masks are made:
+    of one view, or of many under `vmap`."""
     scene, x = pj.Scene(mesh=sphere(faces)), jnp.asarray(PARAMETERS, jnp.float32)
     mask = lambda x, scene: pj.silhouette(seen(x, px), scene)
     if views > 1:
@@ -449,7 +449,7 @@ def programs() -> dict[str, tuple[Callable, tuple]]:
 
 
 def made(place: str, out: str) -> dict:
-    """Return what calls take at one place; their results go to a file."""
+    """Return the seconds of calls at one place; their results go to a file."""
     rows, kept = {}, {}
     for name, (function, arguments) in programs().items():
         compiled = jax.jit(function)

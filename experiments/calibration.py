@@ -412,7 +412,7 @@ def refits_of_a_robot() -> tuple[pj.Camera, Refit]:
     for k in range(4):
         place = np.eye(4)
         place[:3, :3], place[:3, 3] = turn_by(50 * k, np.ones(3)), [0.4 * k - 0.6, 0.2, 0.9]
-        scenes.append(arm.at([np.eye(4), place]))
+        scenes.append(arm.scene_at([np.eye(4), place]))
     return truth, refits_of_many(scenes, {"camera": truth})
 
 

@@ -215,7 +215,7 @@ GROUPS = {**QUICK, "occluders": occluders, "real": real, "robots": robots, **TIM
 
 
 def digest() -> str:
-    """Return what tells this code from other code: its files and what it runs on."""
+    """Return a hash of this code: its files and the packages it runs on."""
     import jax
 
     found = hashlib.sha256(f"{jax.__version__} {np.__version__}".encode())

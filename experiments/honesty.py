@@ -59,7 +59,7 @@ def mug(random: Random) -> Made:
     handle = trimesh.creation.torus(0.35, 0.08, major_sections=24, minor_sections=12)
     handle.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
     handle.apply_translation([0.85, 0, 0])
-    return of(body + handle), beside(random)
+    return float32_mesh(body + handle), beside(random)
 
 
 def can(random: Random) -> Made:
@@ -67,31 +67,31 @@ def can(random: Random) -> Made:
     body = trimesh.creation.cylinder(radius=0.8, height=2, sections=64)
     bump = trimesh.creation.icosphere(subdivisions=2, radius=0.15)
     bump.apply_translation([0.8, 0, 0.3])
-    return of(body + bump), beside(random)
+    return float32_mesh(body + bump), beside(random)
 
 
 def ellipsoid(random: Random) -> Made:
     mesh = trimesh.creation.icosphere(subdivisions=4)
     mesh.vertices *= [1.1, 0.8, 0.95]
-    return of(mesh), anywhere(random)
+    return float32_mesh(mesh), anywhere(random)
 
 
 def dented(random: Random) -> Made:
     mesh = trimesh.creation.icosphere(subdivisions=4)
     off = np.linalg.norm(mesh.vertices - [0.6, 0.64, 0.48], axis=1)
     depth = 0.3 * np.exp(-((off / 0.35) ** 2))
-    return of(mesh, mesh.vertices * (1 - depth)[:, None]), anywhere(random)
+    return float32_mesh(mesh, mesh.vertices * (1 - depth)[:, None]), anywhere(random)
 
 
 def plate(random: Random) -> Made:
-    return of(trimesh.creation.box([1.7, 1.2, 0.08])), anywhere(random)
+    return float32_mesh(trimesh.creation.box([1.7, 1.2, 0.08])), anywhere(random)
 
 
 def box(random: Random) -> Made:
-    return of(trimesh.creation.box([1.2, 1.32, 1.05])), anywhere(random)
+    return float32_mesh(trimesh.creation.box([1.2, 1.32, 1.05])), anywhere(random)
 
 
-def of(mesh, vertices=None) -> pj.Mesh:
+def float32_mesh(mesh, vertices=None) -> pj.Mesh:
     points = mesh.vertices if vertices is None else vertices
     return pj.Mesh(np.asarray(points, np.float32), np.asarray(mesh.faces))
 
@@ -121,11 +121,11 @@ def bracket(random: Random) -> Made:
         part = trimesh.creation.box(size)
         part.apply_translation(place)
         parts.append(part)
-    return of(trimesh.util.concatenate(parts)), anywhere(random)
+    return float32_mesh(trimesh.util.concatenate(parts)), anywhere(random)
 
 
 def bumpy(random: Random) -> Made:
-    return of(pj.shapes.bumpy(4)), anywhere(random)
+    return float32_mesh(pj.shapes.bumpy(4)), anywhere(random)
 
 
 SHAPES = {f.__name__: f for f in (mug, can, ellipsoid, dented, plate, box)}
@@ -165,7 +165,7 @@ def waves(shape: tuple[int, ...], random: Random) -> np.ndarray:
 
 
 def soft(image: np.ndarray, random: Random) -> np.ndarray:
-    """Return what a network gives: wavy, biased, and soft over some px."""
+    """Return a network's mask: wavy, biased, and soft over some px."""
     off = signed_distance(image) + waves(image.shape, random) / 2 + random.uniform(-1, 1)
     return 1 / (1 + np.exp(-off / random.uniform(0.3, 1.5)))
 
@@ -216,7 +216,7 @@ WRONG: dict[str, Callable[[np.ndarray, Random], np.ndarray]] = {
 
 
 def hidden(image: np.ndarray, share: float, kind: str, random: Random) -> np.ndarray:
-    """Return what (H, W) an occluder covers, so large that it hides a share of the outline."""
+    """Return the pixels (H, W) of an occluder that hides a share of the outline."""
     outline = outline_of(image)
     place = outline[random.integers(len(outline))]
     angle = random.uniform(0, 2 * np.pi)

@@ -146,7 +146,7 @@ def moved(camera: pj.Camera, by: np.ndarray) -> pj.Camera:
 
 
 def joint(seed: int, kind: str, number: int, wrong: bool) -> dict:
-    """Return how many standard errors the unknowns of a joint fit are off."""
+    """Return the errors of a joint fit's unknowns in standard errors."""
     random = np.random.default_rng(seed)
     scene, given, views = pj.Scene(mesh=pj.shapes.bumpy(2)), {}, []
     for k in range(number):

@@ -60,7 +60,7 @@ def records(folder: Path, count: int) -> list[dict]:
 
 
 def rows_of(folder: Path) -> dict[str, dict]:
-    """Return what was fitted, by id, without what time and place put into it."""
+    """Return a folder's rows by id, without their times."""
     return {row["id"]: {**row, "seconds": 0.0} for row in pj.batch.Results(folder)}
 
 
@@ -100,7 +100,7 @@ def batch(asked: Asked) -> dict:
 
 
 def joint(number: int) -> dict:
-    """Return what a fit of this many views of 64 px takes, and how far off it is."""
+    """Return the time and the error of a fit of this many views of 64 px."""
     scene, truth, given = pj.Scene(mesh=pj.shapes.bumpy(2)), {}, {}
     for k in range(number):
         random = np.random.default_rng(k)
@@ -134,7 +134,7 @@ WAYS = {**KINDS, "JPEG": lambda image, random: jpeg(image > 0.5, 85)}
 
 
 def megabytes() -> float:
-    """Return what the process holds, where the system tells."""
+    """Return the process's resident memory (MB), 0 if the system does not report it."""
     path = Path("/proc/self/statm")
     pages = int(path.read_text().split()[1]) if path.exists() else 0
     return pages * resource.getpagesize() / 1e6

@@ -82,7 +82,7 @@ def given_camera(K: Any, R: Any, t: Any, W: int, H: int, centres: str = "integer
 
 
 def there(path: Path) -> bool:
-    """Return whether data are there; say aloud where they are not."""
+    """True if data are there; prints a line if they are not."""
     if not path.exists():
         print(f"skipped: there is no {path}")
     return path.exists()
@@ -127,7 +127,7 @@ def implants() -> Iterator[Item]:
 
 
 def error(fit: pj.Fit, truth: pj.Camera, scene: pj.Scene) -> dict[str, float]:
-    """Return how far a fit is from what is given: the object in the camera's frame."""
+    """Return a fit's errors against the given pose: the object in the camera's frame."""
     apart = pj.drift(fit, truth)
     centre = np.append(np.asarray(scene.mesh.vertices, float).mean(axis=0), 1)
     here, right = (np.linalg.solve(pose_of(c), centre)[:3] for c in (fit.camera, truth))
@@ -172,7 +172,7 @@ def single(asked: Asked) -> dict:
 
 
 def verdict(rows: list[dict]) -> dict:
-    """Return how many fits are trusted, and how many of these are wrong."""
+    """Return the number of trusted fits, and of those that are wrong."""
     sure = [row for row in rows if row["status"] == "converged"]
     false = [row for row in sure if row["most sigmas"] > 4 and row["degrees"] > 0.5]
     worst = max((row["most sigmas"] for row in sure), default=0)
@@ -212,7 +212,7 @@ def postures(side: str) -> list[pj.JointView]:
 
 
 def stereo(fits: dict[str, pj.Fit]) -> dict:
-    """Return how two eyes lie to one another: three turns and three shifts in sigmas, too."""
+    """Return the right eye's pose from the left one: turns and shifts, also in sigmas."""
     left, right = (pose_of(fits[side].camera) for side in ("left", "right"))
     step = np.linalg.solve(left, right)
     turn = Rotation.from_matrix(step[:3, :3]).as_rotvec()

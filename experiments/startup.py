@@ -442,7 +442,7 @@ def more(step: Step) -> None:
     step.command("labels, told", fit("sevens.png", "--mask-from", "label=7", *start), 0)
     window = "--crop", "16", "8", "64", "64"
     step.command("a crop", fit("cropped.png", *start, *window), 0, "status     converged")
-    # Whether its camera is trusted hangs on how much is gone; where it is gone is told.
+    # Whether its camera is trusted hangs on how much is gone; the report says where.
     cut = ["fit", "part.obj", "cut.png", "-o", "more", *start]
     step.command("a mask that is cut off", cut, None, "is the mask cut off or covered there")
     K = "--K", "129.3", "129.3", "47.5", "39.5"

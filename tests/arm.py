@@ -36,7 +36,7 @@ def arm():
 
 @cache
 def scenes():
-    return [arm().at(posture(k)) for k in range(4)]
+    return [arm().scene_at(posture(k)) for k in range(4)]
 
 
 @cache

@@ -9,7 +9,7 @@ from pinhole_jax.plot import disagreement
 
 
 def square_mask():
-    """Return what AHEAD sees of SQUARE, hard."""
+    """SQUARE's hard mask as AHEAD sees it."""
     return drawn(AHEAD, SQUARE) > 0.5
 
 

@@ -37,7 +37,7 @@ SHOWN = re.compile(r"^::: pinhole_jax\.([\w.]+)$", re.M)
 
 
 def docstrings(name):
-    """Return what the reference shows of a public name: its docstring, a class's methods' too."""
+    """The reference's text on a public name: its docstring, with a class's methods'."""
     thing = functools.reduce(getattr, name.split("."), pj)
     members = vars(thing).values() if inspect.isclass(thing) else ()
     methods = [getattr(part, "__func__", part) for part in members]
@@ -116,7 +116,7 @@ def public_names():
 
 
 def of_the_package():
-    """Return what `pj.batch` has of the package's own names: it is told there."""
+    """The package's own names that `pj.batch` repeats: the package documents them."""
     return {pj.fit_many, pj.fit_one}
 
 

@@ -141,7 +141,7 @@ def test_modes_that_the_noise_does_not_tell_apart_are_one():
     assert other_places(fit, []) == []
     # One that is left keeps the status, the farthest of those that are the fit's place.
     assert [m.camera for m in other_places(fit, [fit_at(CAMERA, covariance), modes[0]])] == [near]
-    # However wide the error bars are, what is far away is told.
+    # However wide the error bars are, a large move is reported.
     wide = fit_at(CAMERA, 1e4 * covariance)
     assert [m.camera for m in other_places(wide, modes)] == [far]
 

@@ -130,7 +130,7 @@ def test_error_bars_are_those_of_the_linearised_problem():
 
 @pytest.mark.parametrize("common", [("phi",), ()])
 def test_prior_counts_once(common):
-    """Of what views share once, else to each view: the estimate is the precision-weighted mean."""
+    """Once if shared, else in each view: the estimate is the precision-weighted mean."""
     truth = [near(e) for e in EYES]
     noise = np.random.default_rng(1).normal(0, 0.2, (4, 30, 2))
     points2d, own = seen(truth, SOLID) + noise, ("pose",) if common else ("pose", "phi")
@@ -233,7 +233,7 @@ def test_points_that_are_somewhere_else_do_not_count(points):
 
 @pytest.mark.parametrize("common", [("phi",), long(())])
 def test_distant_plane_is_ambiguous_by_reversed_depths(common, exhaustive):
-    """And is told apart where it is near, in many draws of the noise."""
+    """And is ruled out where the camera is near, in many draws of the noise."""
     random, truth = np.random.default_rng(7), [near(e) for e in EYES[1:3]]
     points2d = seen(truth, 0.05 * PLANE) + random.normal(0, 0.05, (2, 30, 2))
     fits = pj.fit_points(0.05 * PLANE, points2d, truth, "pose", common)
@@ -278,7 +278,7 @@ def tumbled(rng):
 
 
 def turned(true, rng, degrees):
-    """Return the camera turned about the origin by so many degrees about any axis."""
+    """Return the camera turned about the origin by an angle (degrees) about a random axis."""
     axis = rng.normal(size=3)
     turn = np.deg2rad(degrees) * axis / np.linalg.norm(axis)
     return true.replace(**{k: rotated(turn, getattr(true, k)) for k in ("e", "p", "u")})

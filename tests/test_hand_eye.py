@@ -51,7 +51,10 @@ def test_urdf_becomes_a_scene(tmp_path):
         (lambda: robot.poses({"turn": 0, "bend": 1}), "`angles`: expected joints among turn, got"),
         (lambda: robot.scene([0, 1]), r"`angles`: expected 1 numbers \(turn\), got shape"),
         (lambda: load(file, leave_out=["hand"]), "`leave_out`: expected links among base"),
-        (lambda: robot.at({"base": np.eye(4)}), "`poses`: expected one of each link, got none of"),
+        (
+            lambda: robot.scene_at({"base": np.eye(4)}),
+            "`poses`: expected one of each link, got none of",
+        ),
         (lambda: load(tmp_path / "no.urdf"), "`path`: expected a URDF file, got"),
     ):
         with pytest.raises(ValueError, match=words):

@@ -5,7 +5,7 @@ import pytest
 
 
 def run(code):
-    """Return what a program prints, in a process of its own."""
+    """A program's output, from a process of its own."""
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout.strip()

@@ -41,7 +41,7 @@ def test_vertices_rounded_coarsely_are_reported(tmp_path):
     assert "lies 1e+05 from the origin" in said[0]
     assert "the file itself has float32 numbers" in said[0]
 
-    text = tmp_path / "far.obj"  # digits, all of which float64 holds
+    text = tmp_path / "far.obj"  # digits that float64 holds
     text.write_text("v 100000.1 0 0\nv 100000.2 0.3 0\nv 100000.3 0 0.1\nf 1 2 3\n")
     pj.load_mesh(text)
     jax.config.update("jax_enable_x64", False)
@@ -186,7 +186,7 @@ def test_exif_gives_the_field_of_view(tmp_path, size, orientation, tags, height_
     [
         {},
         {"FocalLengthIn35mmFilm": 0},  # unknown
-        {"FocalLength": 35.0},  # of what sensor?
+        {"FocalLength": 35.0},  # without the sensor's size
         {**SENSOR, "ExifImageHeight": 6000},  # cropped since
         {**SENSOR, "FocalPlaneResolutionUnit": 1},  # no unit
         {**SENSOR, "FocalLength": IFDRational(1, 0)},

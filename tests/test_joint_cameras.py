@@ -49,7 +49,7 @@ def far_off(arm):
     scenes = []
     for _ in range(3):
         turn, aside = random.uniform(-1, 1, 3), 1.2 * random.uniform(-1, 1, 2)
-        scenes.append(arm.at([np.eye(4), exponential(np.array([*turn, *aside, 0.9]))]))
+        scenes.append(arm.scene_at([np.eye(4), exponential(np.array([*turn, *aside, 0.9]))]))
     off = exponential(0.35 * random.standard_normal(6))
     views = [pj.JointView(scene, drawn(TRUTH, scene) > 0.5) for scene in scenes[:2]]
     return views, at_pose(TRUTH, pose_of(TRUTH) @ off)
@@ -114,7 +114,7 @@ def test_bounds_hold_what_the_masks_would_have_elsewhere(noisy):
 @pytest.mark.long
 def test_wrong_posture_is_named_and_ignored(arm, views):
     wrong = posture(2)[1] @ exponential(np.array([0.1, 0, 0, 0, 0, 0.05]))
-    bad = [*views[:2], pj.JointView(arm.at([np.eye(4), wrong]), views[2].target), views[3]]
+    bad = [*views[:2], pj.JointView(arm.scene_at([np.eye(4), wrong]), views[2].target), views[3]]
     fit = pj.fit_joint(bad, START)
     assert fit.views[2].weight < 1e-3
     assert any(words.startswith("view 2:") for words in fit.weak)

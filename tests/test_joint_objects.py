@@ -16,7 +16,7 @@ PLACE = exponential(np.array([0.3, 0.2, -0.4, 0.2, 0.1, 0.3]))
 
 
 def test_object_pose_before_known_cameras_is_found(arm, scenes):
-    moved = arm.at([PLACE @ pose for pose in posture(0)])
+    moved = arm.scene_at([PLACE @ pose for pose in posture(0)])
     views = [
         pj.JointView(scenes[0], drawn(camera, moved), camera=name, object="part")
         for name, camera in BOTH_EYES.items()
@@ -32,7 +32,7 @@ def test_object_pose_before_known_cameras_is_found(arm, scenes):
 @pytest.fixture(scope="module")
 def larger(arm, scenes):
     """Views of a part that is 1.1 times as large as its mesh, somewhere before known cameras."""
-    moved = arm.at([PLACE @ grown(1.1) @ pose for pose in posture(0)])
+    moved = arm.scene_at([PLACE @ grown(1.1) @ pose for pose in posture(0)])
     views = [
         pj.JointView(scenes[0], drawn(camera, moved), camera=name, object="part", scale="part")
         for name, camera in BOTH_EYES.items()
@@ -41,9 +41,9 @@ def larger(arm, scenes):
 
 
 def test_object_size_is_found_with_its_pose(arm, scenes, larger):
-    """The same for both views of it; that of what a third view shows is another."""
+    """The same for both views of it; the object of a third view has its own."""
     views, place = larger
-    shrunk = drawn(TRUTH, arm.at([grown(0.93) @ pose for pose in posture(1)]))
+    shrunk = drawn(TRUTH, arm.scene_at([grown(0.93) @ pose for pose in posture(1)]))
     other = pj.JointView(scenes[1], shrunk, camera="left", scale="other")
     start = {"part": place["part"] @ OFF}
     fit = pj.fit_joint([*views, other], BOTH_EYES, (), objects=start)
@@ -107,13 +107,16 @@ def test_derivative_by_masks_and_transforms_equals_refits(larger):
     change = random.normal(size=(SIZE, SIZE))
     twists = random.normal(size=(2, 6))
 
-    def at(h):
+    def inputs(h):
         return views[0].target + h * change, *(exponential(10 * h * x) for x in twists)
 
     h = 1e-5
-    here, velocity = at(0.0), [(a - b) / (2 * h) for a, b in zip(at(h), at(-h), strict=True)]
+    here, velocity = (
+        inputs(0.0),
+        [(a - b) / (2 * h) for a, b in zip(inputs(h), inputs(-h), strict=True)],
+    )
     slope = jax.jvp(answer, tuple(map(jnp.asarray, here)), tuple(map(jnp.asarray, velocity)))[1]
-    refits = (answer(*at(h)) - answer(*at(-h))) / (2 * h)
+    refits = (answer(*inputs(h)) - answer(*inputs(-h))) / (2 * h)
     np.testing.assert_allclose(slope, refits, atol=1e-3 * np.abs(refits).max())
 
 
@@ -130,7 +133,7 @@ def test_derivative_by_the_mesh_equals_refits(larger):
 
 
 def differences(image, h=1e-5):
-    """Return how an image follows seven numbers."""
+    """Central differences of an image by seven numbers."""
     ends = [(image(h * x) - image(-h * x)) / (2 * h) for x in np.eye(7)]
     return np.stack([x.ravel() for x in ends], axis=1)
 
@@ -146,7 +149,7 @@ def test_observability_of_several_views_equals_polygon_differences(arm, larger):
 
     def shown(camera, x):
         moved = place["part"] @ exponential(np.append(x[:3], place["part"][:3, :3].T @ x[3:6]))
-        return drawn(camera, arm.at([moved @ grown(1 + x[6]) @ pose for pose in posture(0)]))
+        return drawn(camera, arm.scene_at([moved @ grown(1 + x[6]) @ pose for pose in posture(0)]))
 
     J = [differences(lambda x, c=camera: shown(c, x)) for camera in BOTH_EYES.values()]
     information = sum(j.T @ j for j in J) / 0.1**2
@@ -167,7 +170,7 @@ def test_observability_of_several_views_equals_polygon_differences(arm, larger):
 
 def test_prior_on_an_object_counts(arm, scenes):
     """What is known better than the mask tells is found there, as surely as it is known."""
-    seen = drawn(TRUTH, arm.at([PLACE @ pose for pose in posture(0)]))
+    seen = drawn(TRUTH, arm.scene_at([PLACE @ pose for pose in posture(0)]))
     seen = np.clip(seen + 0.05 * np.random.default_rng(1).normal(size=seen.shape), 0, 1)
     view = pj.JointView(scenes[0], seen, object="part")
     known = {"part": {"x": (0.2, 1e-5), "z": (0.3, 10.0)}}
@@ -185,7 +188,7 @@ def test_box_before_two_cameras_is_ambiguous_by_half_turns():
     bar = trimesh.creation.box((0.6, 0.9, 2.2))
     box = pj.Assembly([pj.Mesh(np.asarray(bar.vertices), bar.faces)])
     views = [
-        pj.JointView(box.at([np.eye(4)]), drawn(c, box.at([PLACE])), n, object="box")
+        pj.JointView(box.scene_at([np.eye(4)]), drawn(c, box.scene_at([PLACE])), n, object="box")
         for n, c in BOTH_EYES.items()
     ]
     fit = pj.fit_joint(views, BOTH_EYES, (), objects={"box": PLACE @ OFF})

@@ -11,7 +11,7 @@ from pinhole_jax._fit.observability import information
 
 
 def by_the_left_eye():
-    """Return how what is reported of the right eye follows what is of the left one."""
+    """The Jacobian of the right eye's reported numbers by the left eye's."""
     flip, step, turned = np.diag([1, -1, 1]), RIG["right"], pose_of(TRUTH)[:3, :3]
     follows = np.eye(6)
     follows[:3, :3] = flip @ step[:3, :3].T @ flip

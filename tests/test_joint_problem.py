@@ -103,14 +103,14 @@ def test_twists_and_adjoints():
 
 
 def test_assembly_is_the_union_of_its_parts(arm):
-    scene = arm.at(posture(1))
+    scene = arm.scene_at(posture(1))
     box = trimesh.creation.box((0.6, 0.9, 2.2)).vertices
     moved = box @ posture(1)[1][:3, :3].T + posture(1)[1][:3, 3]
     assert np.allclose(np.asarray(scene.mesh.vertices)[-8:], moved)
     assert scene.mesh.closed
-    assert scene.mesh.faces is arm.at(posture(2)).mesh.faces
+    assert scene.mesh.faces is arm.scene_at(posture(2)).mesh.faces
     with pytest.raises(ValueError, match=r"`poses`: expected finite numbers \(2, 4, 4\)"):
-        arm.at(np.eye(4))
+        arm.scene_at(np.eye(4))
 
 
 def hinged():

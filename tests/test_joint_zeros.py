@@ -14,7 +14,7 @@ from pinhole_jax._joint.door import joint_problem
 
 @pytest.mark.full
 def test_size_of_one_body_among_several_is_found(arm):
-    """A rig before two bodies, the second of which is 5 % larger than its mesh."""
+    """A rig before two bodies; the second is 5 % larger than its mesh."""
 
     def shown(k):
         return lambda x: [posture(k)[0], posture(k)[1] @ grown(1 + x[0])]

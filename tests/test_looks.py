@@ -100,7 +100,7 @@ def test_whole_windows_touch_what_the_library_does():
             np.testing.assert_allclose(a, b, rtol=1e-9)
         np.testing.assert_allclose(abs(own.triangle), abs(whole.triangle), atol=1e-9)
         row, column = np.indices((int(level.H), int(level.W))).reshape(2, -1)
-        covered = [Coverage.from_view(view).at(row, column) for view in (own, whole)]
+        covered = [Coverage.from_view(view).lookup(row, column) for view in (own, whole)]
         np.testing.assert_allclose(*covered, atol=1e-12)
 
 

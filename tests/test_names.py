@@ -52,7 +52,7 @@ def exists(word, attribute, names):
 
 
 def has(module, attribute):
-    """Return whether a module has this; a private one defines it, a public one may re-export it."""
+    """True if a module has this; a private one defines it, a public one may re-export it."""
     if not hasattr(imported := importlib.import_module(module), attribute):
         return False
     home = getattr(getattr(imported, attribute), "__module__", module)

@@ -19,7 +19,7 @@ from pinhole_jax._fit.refine import Refiner
 from pinhole_jax._mask.mask import Mask
 from pinhole_jax._solver.moves import canonical
 from pinhole_jax._solver.solver import Solver
-from pinhole_jax._solver.stretches import coverage_of, outline_pixels, smoothed_about
+from pinhole_jax._solver.stretches import coverage_of, outline_means, outline_pixels
 from pinhole_jax.show.outline import RED
 
 COLUMNS = np.arange(96) + 0.5
@@ -81,7 +81,7 @@ def test_means_about_an_outline_are_those_of_whole_images(scene):
     slopes = np.gradient(coverage)
     moves = np.zeros((*coverage.shape, rows.shape[1]))
     moves[tuple(place.T)] = rows
-    found = smoothed_about(view, place, rows)
+    found = outline_means(view, place, rows)
     wanted = np.dstack([np.hypot(*slopes), slopes[1], slopes[0], moves])
     mean = uniform_filter(wanted, (5, 5, 0), mode="constant")[tuple(place.T)]
     got = np.column_stack(found)

@@ -45,7 +45,7 @@ def grown(shown, px=2):
 
 
 def off(fit):
-    """Return how far off a camera is: degrees, and a share of the distance."""
+    """A camera's error: degrees, and a share of the distance."""
     angle, shift = pj.pose_error(fit.camera, CAMERA)
     return np.array([np.rad2deg(angle), shift / 5])
 
@@ -94,7 +94,7 @@ def beside(scene, masks, photos):
 
 
 def turned_away(scene):
-    """Return what the second view of `beside` shows."""
+    """The mask of the second view of `beside`."""
     turn = Rotation.from_euler("y", 120, degrees=True).as_matrix()
     vertices = np.asarray(scene.mesh.vertices) @ turn.T
     return drawn(CAMERA, pj.Scene(mesh=pj.Mesh(vertices, scene.mesh.faces)))
@@ -143,7 +143,7 @@ def test_coverage_is_read_from_the_pixels_that_a_contour_touches(scene, shown):
         solver = Solver.from_scene(scene, shown, np.ones(shown.shape), np.float64, ("pose",), 4)
         view = solver.look(unit, solver.finest)
         level = solver.levels[solver.finest]
-        expected = level.window().of(drawn(camera, scene))
+        expected = level.window().crop(drawn(camera, scene))
         np.testing.assert_allclose(coverage_of(view)[::-1], expected, atol=1e-9)
 
 

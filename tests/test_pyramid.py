@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import pinhole_jax as pj
-from pinhole_jax._mask.edges import NearWeights, near
+from pinhole_jax._mask.edges import NearWeights, edge_band
 from pinhole_jax._mask.mask import Mask
 from pinhole_jax._mask.pyramid import PAGE, cells_of, pyramid
 from pinhole_jax._mask.target import Window, object_window
@@ -120,7 +120,7 @@ def test_pixels_near_an_edge_and_how_near(reach):
             edge |= np.pad(change, [side if k == axis else (0, 0) for k in (0, 1)])
     pixels = np.indices(inside.shape).reshape(2, -1).T
     distance, _ = KDTree(np.argwhere(edge)).query(pixels)
-    found = near(inside, reach)
+    found = edge_band(inside, reach)
     np.testing.assert_array_equal(found.place, np.flatnonzero(distance < 1 + reach))
     np.testing.assert_allclose(found.distance, distance[found.place], atol=1e-12)
 

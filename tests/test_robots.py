@@ -1,4 +1,4 @@
-"""Robots' files: where meshes are, what Collada's numbers mean, which joints move, what is said."""
+"""Robots' files: where meshes are, what Collada's numbers mean, which joints move, messages."""
 
 import struct
 import warnings

@@ -573,7 +573,7 @@ def test_session_goes_on_in_another_tab(fitted, tmp_path):
     do(other, "undo")
     np.testing.assert_array_equal(other.mask, do(fitted, "undo") and fitted.mask)
     do(other, "undo")
-    with pytest.raises(ValueError, match="nothing to undo"):  # of what was before
+    with pytest.raises(ValueError, match="nothing to undo"):  # the session before is gone
         do(other, "undo")
 
 

@@ -96,7 +96,7 @@ def through_lens(view: View, points: np.ndarray) -> np.ndarray:
 
 
 def clipped(corners: np.ndarray, view: View) -> list:
-    """Return what the film (a pixel larger) shows of a convex polygon of lifted points."""
+    """Return a convex polygon of lifted points, clipped to the film (a pixel larger)."""
     W, H = view.W, view.H
     for plane in ([1, 0, 1], [0, 1, 1], [-1, 0, W + 1], [0, -1, H + 1]):
         side, after = corners @ plane, np.roll(corners, -1, axis=0)

@@ -57,7 +57,7 @@ class View:
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """Return what this view's image is differentiated by."""
+        """Return the parameters that this view's image is differentiated by."""
         return PARAMETERS if self.model != "none" else PARAMETERS[:-1]
 
     def moved(self, name: str, amount: float) -> "View":
@@ -85,7 +85,7 @@ class View:
         return replace(self, W=self.W * times, H=self.H * times, principal_point=centre)
 
     def step(self, name: str) -> float:
-        """Return how much of a parameter moves the picture by about a pixel."""
+        """Return the change of a parameter that moves the picture by about a pixel."""
         half, focal = max(self.W, self.H) / 2, self.focal_px[1]
         points = np.concatenate([self.vertices, self.centers])
         far = np.linalg.norm(points.mean(axis=0) - self.e)

@@ -52,7 +52,7 @@ class Comparison(NamedTuple):
 
     @property
     def suspicion(self) -> str:
-        """Return what a factor says, nothing if none that is known."""
+        """Return the likely cause of a factor; empty if images agree or have little in common."""
         if self.correlation**2 < CORRELATION**2 or self.agrees:
             return ""
         near = [words for f, words in SUSPECTS.items() if abs(self.factor / f - 1) < 0.02]
@@ -60,7 +60,7 @@ class Comparison(NamedTuple):
 
 
 def compared(theirs: np.ndarray, ours: np.ndarray) -> Comparison:
-    """Return how their image compares with ours.
+    """Return a comparison of their image with ours.
 
     Raises ValueError where shapes differ, or where theirs is not finite.
     """

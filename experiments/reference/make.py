@@ -65,7 +65,7 @@ def scene_of(view: View) -> pj.Scene:
 
 
 def velocity(view: View, camera: pj.Camera, name: str) -> Any:
-    """Return how the camera moves with a parameter, leaf by leaf."""
+    """Return the camera's velocity by a parameter, leaf by leaf."""
     still = jax.tree.map(jnp.zeros_like, eqx.filter(camera, eqx.is_inexact_array))
     if name == "d_film":  # phi = 2 atan(h / 2d)
         turn = jnp.asarray(-np.sin(view.phi) / view.d)
@@ -198,7 +198,7 @@ def row_of(view: View, found: Made) -> dict:
 
 
 def limits(view: View) -> tuple[float, float]:
-    """Return what is allowed of coverage and of a derivative."""
+    """Return the errors allowed of coverage and of a derivative."""
     if view.model != "none":
         return ALLOWED["bent"]
     return ALLOWED["spheres" if len(view.radii) else "straight"]

@@ -102,7 +102,7 @@ def _sight(robot: Robot, angles: dict[str, float], link: str | None, file: str) 
         poses = robot.poses(angles)
     if link is not None and link not in poses:
         raise ValueError(f"`in_hand`: expected a link among {', '.join(poses)}, got {link!r}")
-    return robot.at(poses), None if link is None else poses[link]
+    return robot.scene_at(poses), None if link is None else poses[link]
 
 
 def _proposed_sights(robot: Robot, options: argparse.Namespace) -> list[Sight]:

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-#: The exit status of what a signal ended: 128 and SIGINT.
+#: The exit status of a process that a signal ended: 128 and SIGINT.
 STATUS = 130
 
 _writing = False

@@ -146,10 +146,10 @@ def _turned_about(a: Fit, b: Fit, axis: np.ndarray) -> bool:
 
 
 def _covariance(fit: Fit, held: Sequence[str] | None = None) -> Any:
-    """Return the covariance (6, 6) of a fit's pose; 0 of what was not fitted.
+    """The covariance (6, 6) of a fit's pose; 0 for parts that were not fitted.
 
-    Of what another fit held where this one found it (all but `held`'s names), the error is both
-    fits': the pose's is what is left where that is known.
+    Another fit that held parameters where this one found them (all but `held`'s names) has this
+    one's errors there: they are taken as known, and the pose's covariance is conditioned on them.
     """
     own = [k for k, name in enumerate(fit.names) if name in POSE]
     place = [POSE.index(fit.names[k]) for k in own]

@@ -10,7 +10,7 @@ from .._camera.camera import Camera
 from .._mask.mask import Mask
 from .._mask.target import as_coverage, inside_of
 from .._solver.solver import Solver
-from .._solver.stretches import outline_pixels, smoothed_about
+from .._solver.stretches import outline_means, outline_pixels
 
 #: The normals of a mask's edge are those of a mask that is smoothed over this many px.
 SMOOTH_PX = 2
@@ -160,7 +160,7 @@ def outline_seen(solver: Solver, camera: Camera, number: int) -> OutlinePoints |
     place, rows, share = outline_pixels(view)
     if len(place) < 8 or not np.all(np.isfinite(rows)):
         return None
-    level, around = view.level, smoothed_about(view, place, rows)
+    level, around = view.level, outline_means(view, place, rows)
     px = len(solver.target) / float(level.scale)
     out = units(-around.slope)
     by_move = around.rows / np.maximum(around.steepness, 1e-3)[:, None]

@@ -1,4 +1,4 @@
-"""A fit's answer as a function of what it was fitted to: the implicit function theorem.
+"""A fit's answer as a function of the fit's inputs: the implicit function theorem.
 
 The fit ends where the sum of all views' J^T w (image - target) is 0 (J: the image's derivative by
 the unknowns), so a change of scene, target or weight moves it by minus the inverse of that sum's
@@ -34,7 +34,7 @@ STEP_PX = {np.dtype(np.float32): 0.03, np.dtype(np.float64): 1e-4}
 NO_RESIDUAL = 1e-5
 #: An unknown that shows less than this share of the best-seen one has that one's unit times this.
 LEAST_SHOWN = 1e-3
-#: Unknowns beside a camera's own parameters: an object's pose, and the size of what is seen.
+#: Unknowns beside a camera's own parameters: an object's pose and its size.
 OBJECT, SCALE = "object", "scale"
 #: The part of a twist (a rotation vector, a shift) that each motion of a camera has.
 TWISTS = {"pose": slice(0, 6), "position": slice(3, 6), "orientation": slice(0, 3)}
@@ -54,7 +54,7 @@ def through(
     - `answer`: the part of the result that is differentiable, a pytree.
     - `with_answer`: the result with such an answer in place of its own.
     - `velocity`: the answer's rate of change, given the result, that something, the inputs and
-      their velocities: None of what does not change.
+      their velocities: None for those that do not change.
     - `names`: the arguments that inputs come from, as errors name them.
     """
     changing, fixed = eqx.partition(inputs, lambda leaf: not is_concrete(leaf))
@@ -147,7 +147,7 @@ def _inverse(bend: np.ndarray) -> np.ndarray:
 class Vantage(eqx.Module):
     """A camera that sees an object, and its unknowns.
 
-    - `camera`: canonical, in the frame of what carries it; `film`: its film.
+    - `camera`: canonical, in its carrier's frame; `film`: its film.
     - `pose`: the frame that twists of the camera are taken in.
     - `place`: the object's pose in the world; `scale`: its size.
     - `units` (n,): the sizes of moves; `kinds`: what they move: motions, `OBJECT`, `SCALE`, and
@@ -272,8 +272,8 @@ class End(NamedTuple):
     def slope(self, columns: np.ndarray, counts: float, weight: Any, velocity: Any) -> Slope:
         """The slope of the view's squares, which count this much, by unknowns at some columns.
 
-        `weight` is the user's; `velocity` that of target, weight and `Arrangement`, None of what
-        does not change.
+        `weight` is the user's; `velocity` that of target, weight and `Arrangement`, None for
+        those that do not change.
         """
         units = np.asarray(self.vantage.units, float)
         n, dtype, rows = len(units), self.weight.dtype, self.jacobian.astype(float)

@@ -1,4 +1,4 @@
-"""A camera refined on the photo: a mask is a first guess of what the photo shows exactly.
+"""A camera refined on the photo: the mask is a first guess, the photo is exact.
 
 Beside the outline of the camera that the mask gave, colours of the object and of its background
 are learned; the matte that they make is a soft mask with weights, which the same solver fits the
@@ -61,7 +61,7 @@ NEAR_PX = 3.0
 COLOURS = Kind("photo", 0.0, np.inf, 0.0, False)
 
 
-class Refined(NamedTuple):
+class PhotoResult(NamedTuple):
     """What a photo says: its camera and what is seen there, None where the mask's stays; sums over
     the mask, the kind of mask that colours are, how their outline errs, how far that leaves a turn
     open, and a note."""
@@ -101,13 +101,13 @@ def check_photo(photo: Any, W: int, H: int) -> np.ndarray:
     return array
 
 
-def on_photo(solver: Solver, mask: Mask, photo: np.ndarray, found: Solution) -> Refined:
+def on_photo(solver: Solver, mask: Mask, photo: np.ndarray, found: Solution) -> PhotoResult:
     """The camera that was found for a mask, refined on a photo."""
     before = Outline.from_view(solver, solver.look(found.camera, solver.finest))
     read = before.read(photo, mask, ROUNDS[0])
     resolved = before.resolved(read)
     if not resolved >= LEAST_RESOLVED:
-        return Refined(None, found.view.sums, COLOURS, None, [], unresolved(resolved))
+        return PhotoResult(None, found.view.sums, COLOURS, None, [], unresolved(resolved))
 
     own, refined, now = solver.like(COLOURS), found, before
     for number, band in enumerate(ROUNDS):
@@ -125,10 +125,10 @@ def on_photo(solver: Solver, mask: Mask, photo: np.ndarray, found: Solution) -> 
     over_all = solver.look(refined.camera, solver.finest).sums
     sums = over_all._replace(touched=refined.view.sums.touched)
     if not taken:
-        return Refined(None, sums, COLOURS, None, [], note)
+        return PhotoResult(None, sums, COLOURS, None, [], note)
     errors = own.errors(refined.view)
     free = interval(own, refined, errors) if is_drawn(errors) else []
-    return Refined(refined, sums, COLOURS, errors, free, note)
+    return PhotoResult(refined, sums, COLOURS, errors, free, note)
 
 
 class Outline(NamedTuple):
@@ -153,8 +153,8 @@ class Outline(NamedTuple):
 
     def read(self, photo: np.ndarray, mask: Mask, band: Band) -> Matte:
         """The photo's matte about the outline."""
-        weight = self.window.of(mask.weight)
-        read = matte(light(self.window.of(photo)), self.distance, band, weight > 0)
+        weight = self.window.crop(mask.weight)
+        read = matte(light(self.window.crop(photo)), self.distance, band, weight > 0)
         return read._replace(weight=np.where(weight > 0, read.weight, 0))
 
     def resolved(self, read: Matte) -> float:
@@ -168,7 +168,7 @@ class Outline(NamedTuple):
 
     def of_mask(self, mask: Mask) -> tuple[float, float]:
         """The offsets of a mask's edge."""
-        return self.offsets(self.window.of(mask.image), self.window.of(mask.weight))
+        return self.offsets(self.window.crop(mask.image), self.window.crop(mask.weight))
 
     def offsets(self, image: np.ndarray, weight: np.ndarray) -> tuple[float, float]:
         """The offset (px) of an image's edge to the outside of the outline: the mean, and the root
@@ -205,9 +205,9 @@ def whole(mask: Mask, window: Window, read: Matte) -> tuple[np.ndarray, np.ndarr
     """Weights and target (H, W): the matte's, and a little of the mask's."""
     weight, target = np.zeros(mask.target.shape), mask.image + 0.0
     total = read.weight + OF_MASK
-    both = read.weight * read.share + OF_MASK * window.of(target)
-    window.of(target)[:] = both / total
-    window.of(weight)[:] = total * window.of(mask.weight)
+    both = read.weight * read.share + OF_MASK * window.crop(target)
+    window.crop(target)[:] = both / total
+    window.crop(weight)[:] = total * window.crop(mask.weight)
     return weight, target
 
 

@@ -35,12 +35,12 @@ EQUAL_TIMES = 30.0
 DRAWN_TIMES = 2 * np.log(100)
 #: How many of the weakest directions are followed to where a drawn mask forbids them, how many
 #: standard errors away at first (between these angles, rad), in how many steps each, the last one
-#: that which gains less than this share of what is lost; an interval counts if it is this many
+#: the first to gain less than this share of the loss; an interval counts if it is this many
 #: times as wide as the Jacobian says.
 LOOKED, PROFILE_SIGMAS, PROFILE_RAD = 2, np.array([2.0, 5.0]), np.deg2rad([1, 25])
 PROFILE_STEPS, PROFILE_ENDS, WIDER = 5, 0.02, 1.3
-#: Places along a walk are others if they leave this share of what the Jacobian foretells at their
-#: distance, or less.
+#: Places along a walk are distinct if their residual is at most this share of the one that the
+#: Jacobian predicts at their distance.
 LIKE_FORETOLD = 0.5
 #: Where nothing is nearly free, the weakest direction is walked along if it shows less than this
 #: share of the best-seen one.

@@ -28,7 +28,7 @@ LEAST_IOU = 0.5
 ASTRAY, SOME = 0.1, 0.02
 #: Rounding leaves a root mean square residual of this many machine epsilons in a touched pixel.
 FLOOR = 1000
-#: A solver's last step is off by this share of what it calls negligible.
+#: A solver's last step is off by this share of the step that it calls negligible.
 LAST_STEP = 0.2
 WRONG = "there the mask, the mesh or the camera is wrong"
 #: A move that hardly shows is no weakness where it is known to this many px (one sigma).

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .._fit.result import Context, gradients
-from .._solver.least_squares import Descent, Rows, Solved, solve
+from .._solver.least_squares import Descent, LinearSolution, Rows, solve
 from .._solver.outline_errors import OutlineErrors
 from .._solver.parameters import components
 from .._solver.problem import FINE_PX, UNIT_PX
@@ -68,7 +68,7 @@ class Agreement:
 
     problem: JointProblem
     descent: Descent
-    solved: Solved
+    solved: LinearSolution
     gradients: list[np.ndarray]
     excess: float
     freedom: int
@@ -160,7 +160,7 @@ class _Sandwich:
     are views.
     """
 
-    def __init__(self, solved: Solved, errors: Sequence[_Error]):
+    def __init__(self, solved: LinearSolution, errors: Sequence[_Error]):
         self._solved, self._of_block = solved, dict[int, list[_Error]]()
         s = len(solved.shared)
         back = np.linalg.pinv(solved.triangle)
@@ -259,7 +259,7 @@ def _agreement(problem: JointProblem, found: Descent, counts: np.ndarray) -> Agr
     )
 
 
-def _solve(problem: JointProblem, seen: list[ViewRows], prior_rows: list[Rows]) -> Solved:
+def _solve(problem: JointProblem, seen: list[ViewRows], prior_rows: list[Rows]) -> LinearSolution:
     rows = [problem.view_rows(k, s).times(problem.weights[k] ** 0.5) for k, s in enumerate(seen)]
     return solve([*rows, *prior_rows], problem.size, np.zeros(problem.size))
 

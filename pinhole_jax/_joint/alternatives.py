@@ -36,10 +36,10 @@ from .._fit.strategy import (
 )
 from .._mask.mask import Mask
 from .._mask.search import guesses
-from .._solver.least_squares import Solved, solve
+from .._solver.least_squares import LinearSolution, solve
 from .._solver.moves import canonical, on_film
 from .._solver.parameters import LABELS, labels_of
-from .._solver.priors import Others
+from .._solver.priors import OtherViews
 from .._solver.solver import Solution, Solver
 from .lenses import known_by_others, share_means
 from .levels import Path, Tell, descend
@@ -157,7 +157,7 @@ def _lone_poses(problem: JointProblem, path: Path | None) -> list[LonePose]:
     """The poses that views show by themselves. What several of them show is held; a pose of one
     view knows of that what the others do at a path's end."""
     groups, solved, result = problem.lone_poses, None, []
-    views = [set(problem.of(k)) for k in range(len(problem.eyes))]
+    views = [set(problem.unknowns_of(k)) for k in range(len(problem.eyes))]
     number = {unknown: sum(unknown in view for view in views) for unknown in problem.unknowns}
     if path is not None and all(np.all(np.isfinite(s.view.triangle)) for s in path.descent.seen):
         state, seen = path.descent.state, path.descent.seen
@@ -178,11 +178,11 @@ def _lone_poses(problem: JointProblem, path: Path | None) -> list[LonePose]:
     return result
 
 
-def _others(problem: JointProblem, k: int, path: Path, solved: Solved) -> Others:
+def _others(problem: JointProblem, k: int, path: Path, solved: LinearSolution) -> OtherViews:
     """The knowledge that other views have of the lens's parameters that a view shares with them."""
     eye, seen, state = problem.eyes[k], path.descent.seen[k], path.descent.state
     rows = problem.view_rows(k, seen)
-    shared = np.concatenate([np.full(u.size, len(u.cameras) > 1) for u in problem.of(k)])
+    shared = np.concatenate([np.full(u.size, len(u.cameras) > 1) for u in problem.unknowns_of(k)])
     root = known_by_others(solved, rows, shared)
     slope = -(rows.left @ rows.rows)[shared]  # all views' squares are least
 
@@ -196,7 +196,7 @@ def _others(problem: JointProblem, k: int, path: Path, solved: Solved) -> Others
     of_label = [LABELS[label].value for label in labels_of(eye.solver.freed)]
     here = [0.0 if value is None else float(value(eye.canonical(state))) for value in of_label]
     by_labels = by_moves @ np.linalg.pinv(np.asarray(seen.view.to_reported, float))
-    return Others(*(jnp.asarray(x, eye.solver.dtype) for x in (by_labels, here, left)))
+    return OtherViews(*(jnp.asarray(x, eye.solver.dtype) for x in (by_labels, here, left)))
 
 
 def _places(pose: LonePose, path: Path | None, start: State | None, tell: Tell) -> list[Path]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from .._camera.camera import Camera
 from .._camera.distortion import COEFFICIENTS
-from .._solver.least_squares import Rows, Solved
+from .._solver.least_squares import LinearSolution, Rows
 from .._solver.parameters import PARAMETERS, as_names, check_free, in_one, with_lens
 
 #: What views may share.
@@ -20,7 +20,7 @@ CLEAR = 1e-11
 def with_shared(
     cameras: Mapping[str, Camera], free: Any, shared: Any
 ) -> tuple[tuple[str, ...], dict[str, list[tuple[str, ...]]], dict[str, Camera]]:
-    """All names of what is free, in a fixed order; groups of cameras that have a parameter in
+    """All free parameters, in a fixed order; groups of cameras that have a parameter in
     common; and the cameras, alike in these, with a lens that has what is free.
 
     Raises ValueError for names of no parameter, or of one that cannot be shared.
@@ -84,7 +84,7 @@ def share_means(
     return result
 
 
-def known_by_others(solved: Solved, part: Rows, shared: np.ndarray) -> np.ndarray:
+def known_by_others(solved: LinearSolution, part: Rows, shared: np.ndarray) -> np.ndarray:
     """Residuals (s, s) of all other parts by the unknowns that a part shares with them (which of
     its columns): their information is that of all, less the part's, its own unknowns eliminated."""
     own, m = part.rows[:, ~shared], int(np.sum(~shared))

@@ -229,7 +229,10 @@ def _status(
 
 
 def _is_compared(end: Outcome, k: int) -> bool:
-    poses, lone = [u.name for u in end.problem.of(k) if u.kind == POSE], end.problem.lone_poses
+    poses, lone = (
+        [u.name for u in end.problem.unknowns_of(k) if u.kind == POSE],
+        end.problem.lone_poses,
+    )
     alone = len(poses) == 1 and poses[0] in lone
     return alone and (len(lone) == 1 or len(lone[poses[0]]) > 1)
 

@@ -120,7 +120,7 @@ class JointProblem:
         """The number of levels of the view that has most."""
         return max(len(eye.solver.levels) for eye in self.eyes)
 
-    def of(self, k: int) -> list[Unknown]:
+    def unknowns_of(self, k: int) -> list[Unknown]:
         """The unknowns that a view depends on."""
         return [self.unknowns[j] for j in self._seen[k]]
 
@@ -177,7 +177,9 @@ class JointProblem:
     @cached_property
     def lone_poses(self) -> dict[str, list[int]]:
         """The unknown poses whose views depend on no other one, and these views."""
-        poses = [[u.name for u in self.of(k) if u.kind == POSE] for k in range(len(self.eyes))]
+        poses = [
+            [u.name for u in self.unknowns_of(k) if u.kind == POSE] for k in range(len(self.eyes))
+        ]
         views: dict[str, list[int]] = {}
         for k, names in enumerate(poses):
             for name in names:
@@ -200,8 +202,8 @@ class JointProblem:
         return [self._rows_of(k, state, view) for k, view in enumerate(views)]
 
     def _rows_of(self, k: int, state: State, view: View) -> ViewRows:
-        rigid = [u for u in self.of(k) if u.kind != ZERO]
-        joints = [u.name for u in self.of(k) if u.kind == ZERO]
+        rigid = [u for u in self.unknowns_of(k) if u.kind != ZERO]
+        joints = [u.name for u in self.unknowns_of(k) if u.kind == ZERO]
         moves = self.eyes[k].moves(state, view, rigid)
         if joints:
             view, moves = with_joints(self.eyes[k], state, view, moves, joints)

@@ -79,7 +79,7 @@ def velocity(
 def _vantage_of(problem: JointProblem, k: int, state: State) -> Vantage:
     eye = problem.eyes[k]
     name, pose = eye.shot.camera, state.poses[eye.moving]
-    unknowns = problem.of(k)
+    unknowns = problem.unknowns_of(k)
     is_object = lambda u: u.kind in MOTIONS and u.name != eye.moving
     return vantage_of(
         at_pose(state.lenses[name], pose @ eye.rig),

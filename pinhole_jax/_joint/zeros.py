@@ -92,7 +92,7 @@ def _shares(eye: Eye, state: State, camera: Camera, view: View) -> np.ndarray:
     slot = np.minimum(np.searchsorted(cells, cell), len(cells) - 1)
     found = inside & (cells[slot] == cell)
     row, column, inside = _places(view.level, outside)
-    hidden = np.where(inside, Coverage.from_view(view).at(row, column), 0.0)
+    hidden = np.where(inside, Coverage.from_view(view).lookup(row, column), 0.0)
     weight = (length / number)[edge] * (1 - hidden)
     result = np.zeros((len(cells), bodies))
     np.add.at(result, (slot[found], body[edge][found]), weight[found])

@@ -15,7 +15,7 @@ from .target import Window, edge_distance, near_an_edge
 VISITS = 8
 
 
-class Near(NamedTuple):
+class EdgeBand(NamedTuple):
     """Pixels near an edge: their places in the flat image, ascending, and how far (px) they are
     from the nearest pixel beside the edge."""
 
@@ -30,7 +30,7 @@ class NearWeights(NamedTuple):
     place: np.ndarray
     value: np.ndarray
 
-    def at(self, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    def lookup(self, row: np.ndarray, column: np.ndarray) -> np.ndarray:
         """Return the weights at rows (from the top) and columns."""
         return looked_up(self.place, self.value, row * self.shape[1] + column, 0.0)
 
@@ -56,7 +56,7 @@ Weights = np.ndarray | NearWeights
 def weights_at(weights: Weights, row: np.ndarray, column: np.ndarray) -> np.ndarray:
     """Return weights at rows (from the top) and columns."""
     if isinstance(weights, NearWeights):
-        return weights.at(row, column)
+        return weights.lookup(row, column)
     return weights[row, column]
 
 
@@ -64,7 +64,7 @@ def within(weights: Weights, window: Window) -> Weights:
     """Return the weights of a window."""
     if isinstance(weights, NearWeights):
         return weights.within(window)
-    return window.of(weights)
+    return window.crop(weights)
 
 
 def total(weights: Weights) -> float:
@@ -115,7 +115,7 @@ def beside(inside: np.ndarray) -> np.ndarray:
     return np.unique(np.concatenate([down, down + inside.shape[1], right, right + 1]))
 
 
-def near(inside: np.ndarray, reach: float) -> Near:
+def edge_band(inside: np.ndarray, reach: float) -> EdgeBand:
     """Return the pixels of an image, of bools, that are less than `reach` + 1 (px) from one beside
     an edge."""
     edge, (H, W) = beside(inside), inside.shape
@@ -126,7 +126,7 @@ def near(inside: np.ndarray, reach: float) -> Near:
     if len(disc) * len(edge) > VISITS * inside.size:
         distance = edge_distance(inside).ravel()
         place = np.flatnonzero(distance < 1 + reach)
-        return Near(place, distance[place])
+        return EdgeBand(place, distance[place])
 
     # From the farthest on, so that the nearest have the last word. (What is not written to of
     # zeros takes no time.)
@@ -145,11 +145,11 @@ def near(inside: np.ndarray, reach: float) -> Near:
     row, column = np.divmod(place, width)
     row, column = row - margin, column - margin
     good = (row >= 0) & (row < H) & (column >= 0) & (column < W)
-    return Near((row * W + column)[good], distance[good])
+    return EdgeBand((row * W + column)[good], distance[good])
 
 
 def near_weights(
-    inside: np.ndarray, weights: np.ndarray, window: Window, some: Near, reach: float
+    inside: np.ndarray, weights: np.ndarray, window: Window, some: EdgeBand, reach: float
 ) -> NearWeights:
     """Return the weights of pixels `near` the edge of a window of a mask, less the farther they
     are from it: none `reach` + 1 (px) away."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from .._camera.bent import bent
 from .._camera.camera import Camera, film_map, focal_px, principal_point
-from .edges import Near, NearWeights, alike, near, near_weights
+from .edges import EdgeBand, NearWeights, alike, edge_band, near_weights
 from .signatures import Signature, signatures
 from .target import Window, as_coverage, inside_of, object_window
 
@@ -42,11 +42,11 @@ class Mask:
             made[reach] = near_weights(inside_of(self.target), self.weight, window, some, reach)
         return made[reach]
 
-    def _near(self, reach: float) -> Near:
+    def _near(self, reach: float) -> EdgeBand:
         """Return the pixels of the object's window so near the edge, and perhaps others."""
         widest, found = self._nearest[0] if self._nearest else (-1.0, None)
         if found is None or widest < reach:
-            found = near(self._window.of(inside_of(self.target)), reach)
+            found = edge_band(self._window.crop(inside_of(self.target)), reach)
             self._nearest[:] = [(reach, found)]
         return found
 
@@ -56,7 +56,7 @@ class Mask:
         return object_window(inside_of(self.target))
 
     @cached_property
-    def _nearest(self) -> list[tuple[float, Near]]:
+    def _nearest(self) -> list[tuple[float, EdgeBand]]:
         """Keep the pixels near the edge, and how near."""
         return []
 

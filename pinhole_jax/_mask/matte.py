@@ -1,8 +1,8 @@
 """What share of each pixel is the object's, by the colours on the two sides of its outline.
 
 Region-based trackers (RBOT, SRT3D) learn colours beside the outline, here and there along it, and
-ask of each pixel near it which side it belongs to. Here colours are light that mixes: a pixel of
-which the object covers the share c shows c F + (1 - c) B, if F and B are what is seen beside it.
+ask of each pixel near it which side it belongs to. Here colours are light that mixes: a pixel
+that the object covers by the share c shows c F + (1 - c) B, if F and B are the colours beside it.
 With normal noise the share that a colour tells is then linear in it, and its variance is one over
 the squared contrast of F and B in standard deviations: just what a least-squares fit of the exact
 coverage asks for, a target and a weight.

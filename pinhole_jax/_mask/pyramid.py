@@ -96,7 +96,7 @@ def pyramid(
     """
     H, W = target.shape
     window = window or Window(0, 0, W, H)
-    depth = max(int(np.floor(np.log2(extent_of(window.of(target)) / coarsest_px))), 0)
+    depth = max(int(np.floor(np.log2(extent_of(window.crop(target)) / coarsest_px))), 0)
     whole = 2**depth
     left, bottom = (x - x % whole for x in (window.left, window.bottom))
     right = min(-(-(window.left + window.W) // whole) * whole, W)
@@ -105,7 +105,7 @@ def pyramid(
     shapes = [(-(-window.H // 2**k), -(-window.W // 2**k)) for k in range(depth + 1)]
     room = _room(sum(_cells(shape) for shape in shapes), least)
 
-    images = _halvings(_Image.from_array(window.of(target)), 0 if only_finest else depth)
+    images = _halvings(_Image.from_array(window.crop(target)), 0 if only_finest else depth)
     some = within(weight, window)
     weights = _weights_of_levels(some, len(images))
     most = (

@@ -25,8 +25,8 @@ class Window(NamedTuple):
     W: int
     H: int
 
-    def of(self, image: np.ndarray) -> np.ndarray:
-        """Return the part (H, W) of an image."""
+    def crop(self, image: np.ndarray) -> np.ndarray:
+        """The part (H, W) of an image."""
         top = image.shape[0] - self.bottom
         return image[top - self.H : top, self.left : self.left + self.W]
 
@@ -181,7 +181,7 @@ def edge_distance(image: np.ndarray) -> np.ndarray:
 
     inside = inside_of(image)
     window = object_window(inside)
-    inside = window.of(inside)
+    inside = window.crop(inside)
     far = np.ones(inside.shape, bool)
     for axis in (0, 1):
         change = np.diff(inside, axis=axis)
@@ -190,7 +190,7 @@ def edge_distance(image: np.ndarray) -> np.ndarray:
             widths[axis] = side
             far &= ~np.pad(change, widths)
     distance = np.full(image.shape, np.inf)
-    window.of(distance)[:] = distance_transform_edt(far)
+    window.crop(distance)[:] = distance_transform_edt(far)
     return distance
 
 

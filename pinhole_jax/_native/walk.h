@@ -174,8 +174,8 @@ class Walk {
     return true;
   }
 
-  // Puts children on top of what waits. Of how deep each is entered the last two bits say which
-  // child it is; sorted by that, those that are not entered come last, and are written over.
+  // Pushes children onto the stack. The last two bits of each entry depth hold the child's number;
+  // sorted by depth, children that the ray misses come last and are overwritten.
   void wait(Four enter, Four32 some, int node) {
     const Four32 number = {0, 1, 2, 3};
     Four s = some ? (Four)(((Four32)larger(enter, all(kShallow)) & ~3) | number) : all(-1);

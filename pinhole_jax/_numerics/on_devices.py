@@ -12,7 +12,7 @@ import jax
 
 
 def spread(arrays: Sequence[Any], over: Sequence[Any]) -> list[Any]:
-    """Arrays, each of which varies over all axes that these and `over` vary over."""
+    """The arrays, all varying over every axis that one of them or of `over` varies over."""
     if not jax.sharding.get_abstract_mesh().manual_axes:
         return [*arrays]
     axes = frozenset[str]().union(*(_axes(jax.typeof(x)) for x in (*arrays, *over)))

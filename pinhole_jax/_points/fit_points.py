@@ -31,7 +31,7 @@ from .._solver.priors import Pair, bounds_of, prior_of
 from .._solver.uncertainty import BLIND, covariance, in_words, weak_directions
 from .descent import Options, PointDescent, descend
 from .noise import FEW, Noise, beyond_noise, coordinates
-from .reprojection import Given, PointProblem, PointsSeen, PointView
+from .reprojection import PointArrays, PointProblem, PointRows, PointView
 from .starts import begin
 
 #: What several views share by default: the intrinsics of one physical camera.
@@ -209,12 +209,14 @@ def _velocity(
     units = 1.0, 1.0, _scale(given)
     each = zip(*map(in_each, velocity, given[0], units), strict=True)
     pairs = enumerate(zip(found.views, each, strict=True))
-    slopes = [view.slope(Given(*moving), found.problem.columns(k)) for k, (view, moving) in pairs]
+    slopes = [
+        view.slope(PointArrays(*moving), found.problem.columns(k)) for k, (view, moving) in pairs
+    ]
     steps = zip(found.views, steps_of(slopes), strict=True)
     return tuple(view.camera_velocity(step) for view, step in steps)
 
 
-def _scale(given: list[Given]) -> float:
+def _scale(given: list[PointArrays]) -> float:
     """The mean of all weights that count: what weights are times is nothing."""
     weights = np.concatenate([one.weight for one in given])
     return float(np.mean(weights[weights > 0]))
@@ -233,7 +235,9 @@ def _cameras(camera: Any, count: int) -> list[Camera]:
     return list(cameras)
 
 
-def _checked(points3d: ArrayLike, points2d: ArrayLike, weights: ArrayLike | None) -> list[Given]:
+def _checked(
+    points3d: ArrayLike, points2d: ArrayLike, weights: ArrayLike | None
+) -> list[PointArrays]:
     """Each view's points in float64, NaN and a weight of 0 where not seen. Raises ValueError for
     others."""
     many = np.ndim(points2d) == 3
@@ -260,7 +264,7 @@ def _checked(points3d: ArrayLike, points2d: ArrayLike, weights: ArrayLike | None
             f" {few[k] if V else 'no view'} in view {k}"
         )
     points = np.broadcast_to(points, (V, N, 3))
-    return [Given(*each) for each in zip(points, seen_at, weight, strict=True)]
+    return [PointArrays(*each) for each in zip(points, seen_at, weight, strict=True)]
 
 
 def _weights(weights: ArrayLike | None, V: int, N: int) -> np.ndarray:
@@ -274,7 +278,7 @@ def _weights(weights: ArrayLike | None, V: int, N: int) -> np.ndarray:
     return weight
 
 
-def _reports(found: PointDescent, given: list[Given]) -> tuple[PointFit, ...]:
+def _reports(found: PointDescent, given: list[PointArrays]) -> tuple[PointFit, ...]:
     """The fits of all views, and of their other places."""
     problem, views, own = found.problem, found.views, found.problem.own
     seen = problem.look(views)
@@ -312,8 +316,8 @@ def _reports(found: PointDescent, given: list[Given]) -> tuple[PointFit, ...]:
 
 
 def _join_others(
-    seen: PointsSeen, known: np.ndarray, slope: np.ndarray, own: np.ndarray
-) -> PointsSeen:
+    seen: PointRows, known: np.ndarray, slope: np.ndarray, own: np.ndarray
+) -> PointRows:
     """What is seen, with what other views know (., n) of moves as such, and with the `slope` of all
     views' squares by those that are shared."""
     scale = np.asarray(seen.scale, float)
@@ -325,7 +329,7 @@ def _join_others(
     return seen._replace(triangle=whole, along=np.linalg.lstsq(whole.T, gradient, rcond=None)[0])
 
 
-def _moves_by_shared(seen: PointsSeen, own: np.ndarray) -> np.ndarray:
+def _moves_by_shared(seen: PointRows, own: np.ndarray) -> np.ndarray:
     """The derivative of a view's moves (n,) by shared ones as such (s,), its own following."""
     scale = np.asarray(seen.scale, float)
     rows = np.asarray(seen.triangle, float) / scale
@@ -352,7 +356,7 @@ def _left_out(number: int, given: int) -> list[str]:
 
 def _report(
     view: PointView,
-    seen: PointsSeen,
+    seen: PointRows,
     beyond: np.ndarray,
     noise: Noise,
     limit: float,

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._joint.agreement import NORMAL_95
-from .._solver.least_squares import Rows, Solved
+from .._solver.least_squares import LinearSolution, Rows
 from .._solver.parameters import labels_of
 from .._solver.problem import FINE_PX
 from .reprojection import PointProblem, PointView
@@ -89,7 +89,7 @@ def noise_of(problem: PointProblem, views: Sequence[PointView], given: float | N
     return Noise((float(prior.noise) / _widening(left)) ** 2, left)
 
 
-def beyond_noise(parts: list[Rows], solved: Solved, noise: Noise) -> np.ndarray:
+def beyond_noise(parts: list[Rows], solved: LinearSolution, noise: Noise) -> np.ndarray:
     """The root B (s, s) by which views that disagree widen the covariance of shared moves: by
     B B^T times the noise's variance, 0 where independent errors explain it by chance.
 

@@ -33,7 +33,7 @@ FILM = 10.0
 REPEATED = 1e-9
 
 
-class PointsSeen(NamedTuple):
+class PointRows(NamedTuple):
     """What is known at one camera (as `looks.View`): in px over `UNIT_PX`.
 
     - `sum_squares` (px^2, weighed) is of the points alone, `prior_squares` of a prior.
@@ -54,7 +54,7 @@ class PointsSeen(NamedTuple):
         return float(self.sum_squares) + float(self.prior_squares)
 
 
-class Given(NamedTuple):
+class PointArrays(NamedTuple):
     """Points in the world (N, 3), where they are seen (N, 2) in px, and how much each counts (N,);
     or velocities of these, None where they stay."""
 
@@ -84,7 +84,7 @@ class PointView(NamedTuple):
     prior: Prior | None = None
 
     @classmethod
-    def from_points(cls, film: Camera, given: Given, freed: tuple[str, ...]) -> "PointView":
+    def from_points(cls, film: Camera, given: PointArrays, freed: tuple[str, ...]) -> "PointView":
         """The view from where its film's camera is."""
         points, seen_at, weight = given
         used = points[weight > 0]
@@ -110,7 +110,7 @@ class PointView(NamedTuple):
             rows.append(np.round((x[some] - x[some[0]]) / (REPEATED * (spread or 1))))
         return some[np.sort(np.unique(np.hstack(rows), axis=0, return_index=True)[1])]
 
-    def look(self) -> PointsSeen:
+    def look(self) -> PointRows:
         """The view's least squares."""
         return _look(self.camera, self._data(), self.freed)
 
@@ -123,12 +123,12 @@ class PointView(NamedTuple):
         """Distances (px) of points from where they are seen, infinite behind the eye."""
         return np.asarray(_distances(self.camera, self._data()), float)
 
-    def slope(self, velocity: Given, columns: np.ndarray) -> Slope:
+    def slope(self, velocity: PointArrays, columns: np.ndarray) -> Slope:
         """The slope of the view's squares, as what it is given moves, by unknowns at some columns
         (moves as such)."""
         data = self._data()
         pairs = zip(velocity, data.given, strict=True)
-        changes = Given(*(_change(rate, array) for rate, array in pairs))
+        changes = PointArrays(*(_change(rate, array) for rate, array in pairs))
         bend, pull = _bend_and_pull(self.camera, data, changes, self.freed)
         return Slope(columns, np.asarray(bend, float), pull)
 
@@ -138,13 +138,13 @@ class PointView(NamedTuple):
 
     def _data(self) -> "_Data":
         film, to = self.film, lambda x: np.asarray(x, self.film.e.dtype)
-        given = Given(to(self.points), to(self.seen_at), to(self.weight))
+        given = PointArrays(to(self.points), to(self.seen_at), to(self.weight))
         ball = Ball(*map(to, self.ball))
         return _Data(given, ball, to(film.W / film.H), to(film.H), self.bounds, self.prior)
 
 
 class _Data(NamedTuple):
-    given: Given
+    given: PointArrays
     ball: Ball
     width: Any
     H: Any
@@ -170,7 +170,7 @@ class _Data(NamedTuple):
 class PointProblem(NamedTuple):
     """Views of points as `LeastSquares`, whose state are the views.
 
-    - `alone`: the names of what is each view's own; the rest, which all share, comes last.
+    - `alone`: the names of parameters that each view has for itself; the shared ones come last.
     - `own` (n,): which of a view's moves these are.
     - `size`: the number of unknowns; `dtype`: the float type.
     """
@@ -188,21 +188,21 @@ class PointProblem(NamedTuple):
         size = len(views) * int(own.sum()) + int((~own).sum())
         return cls(alone, own, size, np.dtype(views[0].film.e.dtype))
 
-    def look(self, state: list[PointView]) -> list[PointsSeen]:
+    def look(self, state: list[PointView]) -> list[PointRows]:
         """The views' least squares."""
         return [view.look() for view in state]
 
-    def noise(self, seen: list[PointsSeen]) -> float:
+    def noise(self, seen: list[PointRows]) -> float:
         """1: priors are weighed already."""
         del seen
         return 1.0
 
-    def squares(self, state: list[PointView], seen: list[PointsSeen], noise: float) -> float:
+    def squares(self, state: list[PointView], seen: list[PointRows], noise: float) -> float:
         """The sum of the squares of all residuals."""
         del state, noise
         return sum(one.squares for one in seen)
 
-    def parts(self, state: list[PointView], seen: list[PointsSeen], noise: float) -> list[Rows]:
+    def parts(self, state: list[PointView], seen: list[PointRows], noise: float) -> list[Rows]:
         """The rows of all views."""
         del state, noise
         return [
@@ -215,7 +215,7 @@ class PointProblem(NamedTuple):
             for k, one in enumerate(seen)
         ]
 
-    def sizes(self, seen: list[PointsSeen], parts: list[Rows]) -> np.ndarray:
+    def sizes(self, seen: list[PointRows], parts: list[Rows]) -> np.ndarray:
         """A step's size on the film: where points hardly tell a lens, it would soon fold."""
         del parts
         result = np.zeros(self.size)
@@ -224,7 +224,7 @@ class PointProblem(NamedTuple):
             result[columns] = np.maximum(result[columns], FILM / np.asarray(one.scale, float))
         return result
 
-    def ways_out(self, state: list[PointView], seen: list[PointsSeen]) -> np.ndarray:
+    def ways_out(self, state: list[PointView], seen: list[PointRows]) -> np.ndarray:
         """Zeros: bounds hold nothing, as steps swing to and fro within them."""
         del state, seen
         return np.zeros(self.size)
@@ -233,7 +233,7 @@ class PointProblem(NamedTuple):
         """The views after a step."""
         return [view.stepped(x[self.columns(k)]) for k, view in enumerate(state)]
 
-    def moved(self, seen: list[PointsSeen], x: np.ndarray) -> float:
+    def moved(self, seen: list[PointRows], x: np.ndarray) -> float:
         """The largest move that a step makes in any view, in its units."""
         moves = (x[self.columns(k)] / np.asarray(one.scale) for k, one in enumerate(seen))
         return max(float(np.max(np.abs(y))) for y in moves)
@@ -267,12 +267,12 @@ def _distances(camera: Camera, data: _Data) -> Float[Array, "N"]:
 
 
 @eqx.filter_jit
-def _look(start: Camera, data: _Data, freed: tuple[str, ...]) -> PointsSeen:
+def _look(start: Camera, data: _Data, freed: tuple[str, ...]) -> PointRows:
     move = data.move(start, freed)
     zero = jnp.zeros_like(move.scale)
     padding = jnp.zeros(zero.shape[0] + 1, zero.dtype)  # more rows than columns
 
-    def at(y):
+    def residuals(y):
         camera = moved(move, y, freed)
         r, from_prior = data.residuals(camera), padding[:0]
         if data.prior is not None:
@@ -280,23 +280,23 @@ def _look(start: Camera, data: _Data, freed: tuple[str, ...]) -> PointsSeen:
         rows = jnp.concatenate([r, from_prior, padding])
         return rows, (rows, jnp.sum(r * r), jnp.sum(from_prior * from_prior))
 
-    jacobian, (rows, squares, prior) = jax.jacfwd(at, has_aux=True)(zero)
+    jacobian, (rows, squares, prior) = jax.jacfwd(residuals, has_aux=True)(zero)
     triangle, along = triangle_and_rhs(jacobian, rows)
     to_reported = jax.jacfwd(lambda y: reported(start, moved(move, y, freed), freed))(zero)
     depth = to_camera(start, data.given.points)[:, 2]
     nearest = jnp.min(jnp.where(data.given.weight > 0, depth, jnp.inf))
-    return PointsSeen(triangle, along, move.scale, to_reported, squares, prior, nearest)
+    return PointRows(triangle, along, move.scale, to_reported, squares, prior, nearest)
 
 
 @eqx.filter_jit
 def _bend_and_pull(
-    start: Camera, data: _Data, velocity: Given, freed: tuple[str, ...]
+    start: Camera, data: _Data, velocity: PointArrays, freed: tuple[str, ...]
 ) -> tuple[Array, Array]:
     """Half the gradient of the squares by moves as such: its derivative by these (n, n), and its
     rate of change (n,) with what is given."""
     move = data.plain_move(start, freed)
 
-    def half_squares(y: Array, given: Given) -> Array:
+    def half_squares(y: Array, given: PointArrays) -> Array:
         off = given.off(moved(move, y, freed), data.H)
         return jnp.sum(given.weight[:, None] * off * off) / 2
 

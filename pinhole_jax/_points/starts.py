@@ -15,8 +15,8 @@ from .resection import plane_of, resect, resect_three, shift, turn
 DRAWS = 64
 #: Points of a draw that are not of a plane, and that are.
 FEW, FEW_OF_PLANE = 6, 4
-#: So many points are few: direct solutions by all of them may fail, and those by three are asked,
-#: of this many triangles at most.
+#: Up to this many points are few: direct solutions by all of them may fail, and solutions by three
+#: are added, from this many triangles at most.
 SCANT, TRIANGLES = 8, 6
 #: What finds a part of the pose, the rest being known.
 PARTS = {"position": shift, "orientation": turn}

@@ -29,7 +29,8 @@ class Assembly:
     arm = pj.Assembly([mesh, mesh])
     moved = np.eye(4)
     moved[:3, 3] = [0, 0, 2]
-    scene = arm.at([np.eye(4), moved])  # faces and edges are worked out once, for all postures
+    # faces and edges are worked out once, for all postures:
+    scene = arm.scene_at([np.eye(4), moved])
     ```
     """
 
@@ -52,7 +53,7 @@ class Assembly:
         """Return the number of bodies."""
         return int(self.body[-1]) + 1
 
-    def at(self, poses: Input[ArrayLike, "B 4 4"]) -> Scene:
+    def scene_at(self, poses: Input[ArrayLike, "B 4 4"]) -> Scene:
         """Return the scene with each body at its pose: rigid transforms (B, 4, 4), body to world.
 
         Raises ValueError for another shape, and for numbers that are not finite.
@@ -111,7 +112,7 @@ class Posture:
 
     def scene(self, offsets: Input[ArrayLike | None, "J"] = None) -> Scene:
         """Return the scene where offsets (J,) are added to the joints' readings."""
-        return self._assembly.at(self._poses(self._checked(offsets)))
+        return self._assembly.scene_at(self._poses(self._checked(offsets)))
 
     def twists(self, offsets: Input[ArrayLike | None, "J"] = None) -> np.ndarray:
         """Return each body's motion by each joint's offset (J, B, 7), along the scene's axes.

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._mask.edges import Near, alike, beside, counted, looked_up, near
+from .._mask.edges import EdgeBand, alike, beside, counted, edge_band, looked_up
 from .._mask.target import as_coverage, inside_of
 from .problem import FINE_PX
 
@@ -78,7 +78,7 @@ class Kind(NamedTuple):
         return misfit <= (TIMES * self.variance if strict else self.most)
 
 
-class _Between(NamedTuple):
+class _PartialPixels(NamedTuple):
     """The pixels of an image (H, W) that are neither 0 nor 1: places in the flat image, ascending,
     rows and columns, values and weights."""
 
@@ -89,12 +89,12 @@ class _Between(NamedTuple):
     value: np.ndarray
     weight: np.ndarray
 
-    def where(self, chosen: np.ndarray) -> "_Between":
+    def where(self, chosen: np.ndarray) -> "_PartialPixels":
         """Return some of them."""
-        return _Between(self.shape, *(x[chosen] for x in self[1:]))
+        return _PartialPixels(self.shape, *(x[chosen] for x in self[1:]))
 
 
-def _between(target: np.ndarray, weights: np.ndarray) -> _Between:
+def _partial_pixels(target: np.ndarray, weights: np.ndarray) -> _PartialPixels:
     """Return the pixels of a mask that are neither 0 nor 1."""
     if target.dtype == bool:
         place = np.zeros(0, int)
@@ -104,12 +104,12 @@ def _between(target: np.ndarray, weights: np.ndarray) -> _Between:
         place = np.flatnonzero((target != 0) & (target != 1))
     row, column = np.divmod(place, target.shape[1])
     value, weight = as_coverage(target[row, column]), weights[row, column]
-    return _Between(target.shape, place, row, column, value, weight)
+    return _PartialPixels(target.shape, place, row, column, value, weight)
 
 
 def kind_of(target: np.ndarray, weights: np.ndarray, dtype: Any) -> Kind:
     """Return the kind of a mask (see `check_target`) that is fitted in a float type."""
-    some = _between(target, weights)
+    some = _partial_pixels(target, weights)
     if not some.place.size or some.place.size < GREY_SHARE * len(beside(inside_of(target))):
         uniform = (scale := _weight_at_edges(target, weights)) * UNIFORM
         return Kind("one bit", uniform, scale * HARD, CUT_CORNERS * uniform, False)
@@ -146,9 +146,11 @@ def kind_of(target: np.ndarray, weights: np.ndarray, dtype: Any) -> Kind:
     return Kind("soft", variance, most, least, True, alike=indistinct)
 
 
-def _weights_near(target: np.ndarray, weights: np.ndarray, reach: float) -> tuple[Near, np.ndarray]:
+def _weights_near(
+    target: np.ndarray, weights: np.ndarray, reach: float
+) -> tuple[EdgeBand, np.ndarray]:
     """Return the pixels near the mask's edge, and their weights."""
-    close = near(inside_of(target), reach)
+    close = edge_band(inside_of(target), reach)
     return close, weights[np.divmod(close.place, target.shape[1])]
 
 
@@ -162,7 +164,7 @@ def _weight_at_edges(target: np.ndarray, weights: np.ndarray) -> float:
 
 
 def _noise_far_from_edges(
-    target: np.ndarray, weights: np.ndarray, some: _Between, quiet: float
+    target: np.ndarray, weights: np.ndarray, some: _PartialPixels, quiet: float
 ) -> tuple[float, float, bool, float]:
     """Return the standard deviation of pixels that are 0 or 1 for certain, the mean of their
     weighted squares, whether the noise is the same everywhere, and if it is the standard error of
@@ -193,7 +195,7 @@ def _noise_far_from_edges(
     return (2 * mean if clipped else mean) ** 0.5, far, bool(even), float(even * spread)
 
 
-def _shorter_run(some: _Between) -> np.ndarray:
+def _shorter_run(some: _PartialPixels) -> np.ndarray:
     """Return for each pixel how many of them stand beside one another in its row or in its column,
     the shorter way."""
     (H, W), order = some.shape, np.lexsort((some.row, some.column))
@@ -208,13 +210,13 @@ def _runs(ascending: np.ndarray) -> np.ndarray:
     return np.bincount(run.ravel())[run.ravel()]
 
 
-def _edge_width(target: np.ndarray, some: _Between) -> float:
+def _edge_width(target: np.ndarray, some: _PartialPixels) -> float:
     """Return the integral of m (1 - m) across an edge, in px: 1/6 for a sharp one."""
     slope = np.hypot(*(_slope(target, some, axis) for axis in (0, 1)))
     return float(np.sum(some.value * (1 - some.value)) / max(float(np.sum(slope)), 1e-9))
 
 
-def _slope(target: np.ndarray, some: _Between, axis: int) -> np.ndarray:
+def _slope(target: np.ndarray, some: _PartialPixels, axis: int) -> np.ndarray:
     """Return the slope along an axis at some pixels, as `np.gradient` has it."""
     at = (some.row, some.column)
     ends = [list(at), list(at)]

@@ -151,7 +151,7 @@ def _together(of: list[list[int]], size: int) -> np.ndarray:
     return block
 
 
-class Solved(NamedTuple):
+class LinearSolution(NamedTuple):
     """The least squares' x, and what determines it: the shared unknowns' triangle, of each block of
     views the unknowns that are its own, their triangle, and what the shared ones do to these; of
     each unknown the number of the block that owns it, -1 of shared ones."""
@@ -176,8 +176,8 @@ class Solved(NamedTuple):
         return result
 
     def unseen(self, blind: float) -> np.ndarray:
-        """Return directions (size, d) of the unknowns that change no residual: less than a share
-        `blind` of what the best-seen ones do."""
+        """Return directions (size, d) of the unknowns that change residuals by less than a share
+        `blind` of the best-seen direction's change."""
         size, everything = len(self.x), np.arange(len(self.x))
         directions = []
         hidden = _null(self.triangle, blind).T
@@ -217,7 +217,7 @@ def _null(triangle: np.ndarray, blind: float) -> np.ndarray:
     return (hidden / np.linalg.norm(hidden / size, axis=1, keepdims=True) / size).T
 
 
-def solve(parts: list[Rows], size: int, damping: np.ndarray) -> Solved:
+def solve(parts: list[Rows], size: int, damping: np.ndarray) -> LinearSolution:
     """Return the x (size,) of least squares, `damping` (size,) times x among the residuals."""
     owner = _together([p.columns[p.own].tolist() for p in parts], size)
     shared = np.flatnonzero(owner < 0)
@@ -238,14 +238,14 @@ def solve(parts: list[Rows], size: int, damping: np.ndarray) -> Solved:
     x[shared] = -np.linalg.pinv(r[:, :-1]) @ r[:, -1]
     for block, (own, triangle, across) in owns.items():
         x[own] = -np.linalg.pinv(triangle) @ (left[block] + across @ x[shared])
-    return Solved(x, shared, r[:, :-1], owns, owner)
+    return LinearSolution(x, shared, r[:, :-1], owns, owner)
 
 
 def _eliminated(
     parts: list[Rows], own: np.ndarray, shared: np.ndarray, damping: np.ndarray
 ) -> np.ndarray:
-    """Return the triangle of some rows, with columns of what is `own` (and damped) first, then of
-    what is shared, then the residuals."""
+    """Return the triangle of some rows: columns of `own` (damped) unknowns, of shared ones, then
+    the residuals."""
     m, s = len(own), len(shared)
     tables = [np.column_stack([np.diag(damping), np.zeros((m, s + 1))])]
     for part in parts:

@@ -24,7 +24,7 @@ from .problem import COSINE, UNIT_PX, Problem
 RECORDED = 64
 
 
-class _Recorded(NamedTuple):
+class _PathState(NamedTuple):
     """The solver's state, and where the first steps came to."""
 
     solver: Any
@@ -57,12 +57,12 @@ class _LevenbergMarquardt(optx.AbstractGaussNewton):
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> Any:
         state = super().init(fn, y, args, options, f_struct, aux_struct, tags)
-        return _Recorded(state, jnp.zeros((RECORDED, *y.shape), y.dtype))
+        return _PathState(state, jnp.zeros((RECORDED, *y.shape), y.dtype))
 
     def step(self, fn, y, args, options, state: Any, tags) -> Any:
         y, solver, aux = super().step(fn, y, args, options, state.solver, tags)
         path = state.path.at[state.solver.num_steps].set(y, mode="drop")
-        return y, _Recorded(solver, path), aux
+        return y, _PathState(solver, path), aux
 
     def postprocess(self, fn, y, aux, args, options, state: Any, tags, result):
         del fn, args, options, tags, result

@@ -99,7 +99,7 @@ def look(
     """The look at a camera moved by y. Where its lens folds within what is looked at all is NaN, so
     that a solver does not step there."""
 
-    def at(y: Array) -> tuple[Any, Any]:
+    def quantities(y: Array) -> tuple[Any, Any]:
         camera = moved(move, y, freed)
         values = reported(move.camera, camera, freed)
         known = [problem.others.residuals(values)]
@@ -108,7 +108,7 @@ def look(
         drawn = sight_of(film_of(camera, level), problem.scene) if size is None else ()
         return (values, jnp.concatenate(known), *drawn), camera
 
-    (_, left, *drawn), by_move, camera = along_each(at, y)
+    (_, left, *drawn), by_move, camera = along_each(quantities, y)
     to_reported, J, *drawn_by_move = by_move
     known = jnp.concatenate([J.T, left[:, None]], axis=1)
     if size is None:

@@ -40,8 +40,9 @@ LEAST_DRAWN = 0.005
 #: nearly follow the rows err alike.
 #: (Of 48 computed masks of one bit all are told for certain with 2, all but 8 with 1.)
 ALIKE = 2.0
-#: Of a straight edge each px is in so many pixels at most; an outline in more of them has several
-#: edges in a pixel, and each errs. (A smooth one or a scan's: 1.25; a hedgehog's 1.4, soup's 2.2.)
+#: A px of a straight edge touches at most this many pixels; an outline that touches more has
+#: several edges in a pixel, and each errs. (Smooth outlines and scans: 1.25; a hedgehog: 1.4,
+#: soup: 2.2.)
 STRAIGHT = 2**0.5
 #: At least so much of an outline is within a pixel of the mask's.
 LEAST_RATE = 0.1

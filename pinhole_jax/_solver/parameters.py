@@ -1,10 +1,10 @@
-"""The table of parameters: what a fit may change about a camera, and how each is told.
+"""The table of parameters: what a fit may change about a camera, with labels and units.
 
 A row is what `free` may name. All else that depends on a parameter reads it from here: moves,
 units, bounds, what views may share, the table of a fit and its words. Another coefficient of a
 lens is another field of its model (`distortion`); the rows of coefficients are made of these.
 
-Pose moves are taken about a pivot (the middle of what is looked at), so that turning the camera
+Pose moves are taken about a pivot (the middle of the scene), so that turning the camera
 around the object, shifting it and changing the distance move the outline in ways of their own.
 Focal length and distance are logarithmic: no step makes them negative.
 """

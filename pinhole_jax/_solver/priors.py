@@ -34,7 +34,7 @@ class Prior(eqx.Module):
         return off * (self.noise / self.std)
 
 
-class Others(eqx.Module):
+class OtherViews(eqx.Module):
     """What other views know of reported parameters (n,): residuals that are linear in these."""
 
     rows: Float[Array, "n n"]
@@ -47,10 +47,10 @@ class Others(eqx.Module):
 
 
 @functools.lru_cache  # (asked for at each new weight image)
-def no_others(free: tuple[str, ...], dtype: Any) -> Others:
-    """An empty `Others`."""
+def no_others(free: tuple[str, ...], dtype: Any) -> OtherViews:
+    """An empty `OtherViews`."""
     n = len(labels_of(free))
-    return Others(*(jnp.asarray(np.zeros(shape, dtype), dtype) for shape in ((n, n), n, n)))
+    return OtherViews(*(jnp.asarray(np.zeros(shape, dtype), dtype) for shape in ((n, n), n, n)))
 
 
 def prior_of(

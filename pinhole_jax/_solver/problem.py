@@ -11,7 +11,7 @@ from .._camera.camera import Camera
 from .._mask.pyramid import Level, Pyramid
 from .._scene.scene import Ball, Scene
 from .moves import Bounds, Move, scales
-from .priors import Others, Prior
+from .priors import OtherViews, Prior
 
 #: One unit of the solver in pixels. Its damping begins at 1 in its own units, whatever they are:
 #: larger units make bolder first steps.
@@ -36,14 +36,14 @@ class Problem(eqx.Module):
     radius: Float[Array, ""]
     bounds: Bounds | None
     prior: Prior | None
-    others: Others
+    others: OtherViews
 
     def __init__(
         self,
         scene: Scene,
         pyramid: Pyramid,
         ball: Ball,
-        others: Others,
+        others: OtherViews,
         bounds: Bounds | None = None,
         prior: Prior | None = None,
     ):

@@ -30,8 +30,8 @@ CLEARLY, NEARLY_ALL = 0.5, 0.75
 AROUND, APART = sphere_points(24), 0.5
 #: A share of the sum of squares that keeps what is not determined (a ball's tilt) at 0.
 RIDGE = 1e-9
-#: Facets repeat as many times, if they do; then the support, turned so, differs by this share of
-#: what it usually does, and by rounding at least.
+#: Facets may repeat this often; the support, turned by one facet, then differs by this share of its
+#: usual difference, and by rounding at least.
 SECTIONS, REPEATS, ROUNDING = np.arange(10, 181), 0.25, 1e-6
 #: Angles at which the support in the plane is looked at for that; how many vertices, and how many
 #: corners of their hull, have facets that matter.

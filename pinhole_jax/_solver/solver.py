@@ -18,7 +18,7 @@ from .kinds import Kind, kind_of
 from .looks import Origin, View, size_of_looks
 from .moves import Bounds, Move, moved
 from .outline_errors import OutlineErrors, is_drawn, outline_errors
-from .priors import Others, Prior, no_others
+from .priors import OtherViews, Prior, no_others
 from .problem import COARSE_PX, FINE_PX, SETTLED, Problem, move_about
 from .revolution import Revolution
 from .store import Levels, LevelsKey, Store
@@ -28,8 +28,8 @@ from .subject import Subject
 ERRORS = 4.0
 #: What a hard edge leaves in a pixel of the outline, and what 8 bits do.
 ONE_BIT, LEAST_VARIANCE = 1 / 12, 1 / 12 / 255**2
-#: A step that is negligible (px) where a fit goes on to fewer pixels: half as many steps as to the
-#: end of what float32 resolves, and squares within a hundred thousandth.
+#: A step that is negligible (px) where a fit goes on to fewer pixels: half as many steps as to
+#: float32's resolution, and squares within a hundred thousandth.
 CONTINUED_PX = 5e-3
 #: Where there are finer levels, a fit looks for what is far away on this one, where the object has
 #: 128 to 256 px. A residual tells of an outline that is a pixel away at most: of 12 degrees ten
@@ -95,7 +95,7 @@ class Solver:
     store: Store
     bounds: Bounds | None = None
     prior: Prior | None = None
-    others: Others | None = None
+    others: OtherViews | None = None
     record: bool = False
     only_finest: bool = False
     walked: list[tuple[Camera, Revolution, list[Solution]]] = field(
@@ -136,7 +136,7 @@ class Solver:
     ) -> "Solver":
         """Return the solver of a subject and a mask, whose pyramids hold `cells` at least."""
         window, dtype = object_window(target), subject.dtype
-        kind = kind_of(window.of(target), window.of(weights), dtype)
+        kind = kind_of(window.crop(target), window.crop(weights), dtype)
         ends = max_steps, last_px(kind, dtype, continued)
         return cls(subject, target, weights, kind, freed, *ends, Store(window, cells), bounds)
 
@@ -148,7 +148,7 @@ class Solver:
         target = self.target if target is None else target
         return replace(self, weights=weights, target=target, only_finest=only_finest)
 
-    def beside(self, others: Others) -> "Solver":
+    def beside(self, others: OtherViews) -> "Solver":
         """Return the solver to which what other views know counts. They weigh the prior, too."""
         return replace(self, others=others)
 
@@ -242,8 +242,8 @@ class Solver:
         return variance * max(float(view.sums.touched) / errors.independent, 1.0)
 
     def design(self, view: View) -> float:
-        """The ratio to the variance of independent residuals of the variance that a mask's
-        errors leave, in the mean of what it determines (a survey's design effect)."""
+        """The design effect: by how much a mask's errors enlarge the variance that independent
+        residuals would leave, averaged over determined directions."""
         errors, triangle = self.errors(view), np.asarray(view.triangle, float)
         if errors is None or not np.any(triangle):
             return 1.0
@@ -306,7 +306,7 @@ class Solver:
     ) -> Solution:
         """Return the camera found from level to level, and its view on the last of them.
 
-        Steps of `coarse_px`, on the finest level of `fine_px` (None: of what the fit asks for), are
+        Steps of `coarse_px`, on the finest level of `fine_px` (None: the fit's own limit), are
         negligible; at most this many `steps` are taken on a level. Without `looks` the view is
         differentiated by moves of where the last steps began.
         """

@@ -66,7 +66,7 @@ class _Outline(NamedTuple):
         return sums / self.summed()[:, None]
 
     def nearby(self, place: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Return the sums (number,) of what lies in the film at places (k, 2) near the outline."""
+        """Return the sums (number,) of values at places (k, 2) of the film near the outline."""
         from scipy.spatial import KDTree
 
         # What is far from all of it is most of a noisy mask: cells of that size sort it out.
@@ -103,7 +103,7 @@ def stretches_of(view: View, target: np.ndarray, weights: Weights) -> Stretches 
 
     # Areas, not distances: what the mask has beyond the outline, for each px of it.
     length = outline.nearby(beside, steepness)
-    mask = window.of(target)[::-1]
+    mask = window.crop(target)[::-1]
     differing, missing = _differing(place, coverage, mask)
     seen = _weights_at(weights, window, differing, target.shape[0]) > 0
     offset = outline.nearby(differing[seen], missing[seen]) / np.maximum(length, 0.5)
@@ -144,7 +144,7 @@ def outline_pixels(view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return place, rows / np.sqrt(weight[shown])[:, None], share
 
 
-class Smoothed(NamedTuple):
+class OutlineMeans(NamedTuple):
     """Means over a block about each pixel of an outline: how steep coverage is there (P,), its
     slope by columns and by rows (P, 2), and what some rows (P, k) hold."""
 
@@ -153,7 +153,7 @@ class Smoothed(NamedTuple):
     rows: np.ndarray
 
 
-def smoothed_about(view: View, place: np.ndarray, rows: np.ndarray, reach: int = 2) -> Smoothed:
+def outline_means(view: View, place: np.ndarray, rows: np.ndarray, reach: int = 2) -> OutlineMeans:
     """Return means over the pixels up to `reach` away each way from those (P, 2) of an outline;
     `rows` (P, k) are 0 beside it, and all is beside the window."""
     coverage = Coverage.from_view(view)
@@ -173,8 +173,8 @@ def smoothed_about(view: View, place: np.ndarray, rows: np.ndarray, reach: int =
     row, column = np.clip(row, 0, H - 1), np.clip(column, 0, W - 1)
     slope = np.column_stack(
         [
-            _difference(lambda x: coverage.at(row, x), column, W),
-            _difference(lambda x: coverage.at(x, column), row, H),
+            _difference(lambda x: coverage.lookup(row, x), column, W),
+            _difference(lambda x: coverage.lookup(x, column), row, H),
         ]
     )
     slope *= seen[:, None]
@@ -183,7 +183,7 @@ def smoothed_about(view: View, place: np.ndarray, rows: np.ndarray, reach: int =
     mean = lambda values: np.mean(values[around], axis=1)
     columns = np.stack([mean(x) for x in spread.T], axis=1)
     slopes = np.stack([mean(x) for x in slope.T], axis=1)
-    return Smoothed(mean(np.hypot(*slope.T)), slopes, columns)
+    return OutlineMeans(mean(np.hypot(*slope.T)), slopes, columns)
 
 
 def _difference(at: Callable[[np.ndarray], np.ndarray], place: np.ndarray, size: int) -> np.ndarray:
@@ -197,7 +197,7 @@ def _stretched(place: np.ndarray, coverage: "Coverage", length: float) -> _Outli
     are stretches of their own."""
     H, W = coverage.shape
     row, column = place.T
-    at = coverage.at
+    at = coverage.lookup
     up = at(np.minimum(row + 1, H - 1), column) - at(np.maximum(row - 1, 0), column)
     right = at(row, np.minimum(column + 1, W - 1)) - at(row, np.maximum(column - 1, 0))
     side = np.round(np.arctan2(up, right) / (np.pi / 2)) % 4
@@ -215,7 +215,7 @@ def _slopes(coverage: "Coverage", place: np.ndarray) -> tuple[np.ndarray, np.nda
     row, column = (place[:, None] + around).reshape(-1, 2).T
     inside = (row >= 0) & (row < H) & (column >= 0) & (column < W)
     row, column = np.divmod(np.unique(row[inside] * W + column[inside]), W)
-    at = lambda r, c: coverage.at(np.clip(r, 0, H - 1), np.clip(c, 0, W - 1))
+    at = lambda r, c: coverage.lookup(np.clip(r, 0, H - 1), np.clip(c, 0, W - 1))
     up = (at(row + 1, column) - at(row - 1, column)) / 2
     right = (at(row, column + 1) - at(row, column - 1)) / 2
     return np.column_stack([row, column]), np.column_stack([up, right])
@@ -251,7 +251,7 @@ class Coverage(NamedTuple):
         shape = int(view.level.H), int(view.level.W)
         return cls(shape, pixels.cell, pixels.coverage, pixels.after, pixels.before)
 
-    def at(self, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    def lookup(self, row: np.ndarray, column: np.ndarray) -> np.ndarray:
         """Return the coverage of pixels."""
         cell = row * (self.shape[1] + 2) + column + 1
         last = np.searchsorted(self.cell, cell, side="right") - 1

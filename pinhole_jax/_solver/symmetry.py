@@ -17,8 +17,8 @@ from .._numerics.memo import memoised
 MOST_FACES = 30_000
 #: Corners, and lengths of edges, closer than this share of the mesh's size are alike.
 ALIKE = 1e-4
-#: A turn counts if so much of the area comes to where faces were (a dent is missed by two), of so
-#: many places that are looked at; half as much has to in the first few.
+#: A turn counts if this share of the area lands where faces were (a dent is missed by two), at this
+#: many sampled places; in the first few, half the share is enough.
 MOST, LOOKED_AT, FIRST = 0.4, 200, 20
 #: A few faces of each shape are turned to all others of it: this many shapes, this many turns at
 #: most.

@@ -93,7 +93,7 @@ def sentence(moves: list[str], share: float, hidden: bool) -> str:
 
 
 def _words(direction: np.ndarray, components: list[str], axes: np.ndarray) -> list[str]:
-    """The chief parts of a direction of moves in words: their effects on the camera."""
+    """Phrases for the chief parts of a direction of moves: their effects on the camera."""
     groups: dict[str, list[int]] = {}  # the parts of a vector share their words
     for k, name in enumerate(components):
         groups.setdefault(COMPONENTS[name].words, []).append(k)

@@ -38,8 +38,8 @@ def triangle_depth(ray: Parts | Array, corners: Parts | Array) -> Float[Array, "
 
     A ray is its origin and two slopes, (sx, sy): its direction is (sx, sy, 1); corners are nine
     coordinates. Watertight in the sense of Woop, Benthin and Wald (2013): each corner's coordinates
-    beside the ray depend on ray and corner alone, and the signs of three edge functions decide,
-    each of which compares two products of them: two triangles that share an edge never disagree.
+    beside the ray depend on ray and corner alone, and the signs of three edge functions decide.
+    Each compares two products of them, so two triangles that share an edge never disagree.
     """
 
     def seen(k: int):

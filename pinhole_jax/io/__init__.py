@@ -25,4 +25,4 @@ from .masks import load_mask as load_mask
 from .meshes import load_mesh as load_mesh
 from .rle import mask_of_rle as mask_of_rle
 from .text import load_json as load_json, load_text as load_text, save_text as save_text
-from .tidy import Tidied as Tidied, tidy_mask as tidy_mask
+from .tidy import TidyMask as TidyMask, tidy_mask as tidy_mask

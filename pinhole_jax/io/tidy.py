@@ -16,7 +16,7 @@ CORNERS = np.ones((3, 3))
 SOFT_PX = 2
 
 
-class Tidied(NamedTuple):
+class TidyMask(NamedTuple):
     """A mask (H, W), and sentences on what was changed and what else there is to know about it.
 
     ```python
@@ -28,7 +28,7 @@ class Tidied(NamedTuple):
     notes: tuple[str, ...]
 
 
-def tidy_mask(mask: Input[ArrayLike, "H W"], speck: float = SPECK) -> Tidied:
+def tidy_mask(mask: Input[ArrayLike, "H W"], speck: float = SPECK) -> TidyMask:
     """Return a mask without crumbs and pinholes, and sentences on what was done and found.
 
     - `mask`: (H, W), as `fit_camera` takes it. A pixel that is half covered or more is inside.
@@ -50,7 +50,7 @@ def tidy_mask(mask: Input[ArrayLike, "H W"], speck: float = SPECK) -> Tidied:
     array = check_image("mask", mask, W, H)
     inside = as_coverage(array) >= 0.5
     if np.all(inside) or not np.any(inside):
-        return Tidied(array, ("the mask covers " + ("all" if np.any(inside) else "nothing"),))
+        return TidyMask(array, ("the mask covers " + ("all" if np.any(inside) else "nothing"),))
 
     labels, sizes = parts(inside, CORNERS)
     least = speck * np.max(sizes)
@@ -71,7 +71,7 @@ def tidy_mask(mask: Input[ArrayLike, "H W"], speck: float = SPECK) -> Tidied:
         *_changed("hole", areas[is_pinhole], "filled"),
         *_found(sizes[(sizes > 0) & ~is_crumb], body | pinholes),
     ]
-    return Tidied(result, tuple(notes))
+    return TidyMask(result, tuple(notes))
 
 
 def parts(

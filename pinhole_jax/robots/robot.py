@@ -70,7 +70,7 @@ class Robot:
 
     def scene(self, angles: Angles) -> Scene:
         """Return the robot with its joints at these angles (see `poses`)."""
-        return self.at(self.poses(angles))
+        return self.scene_at(self.poses(angles))
 
     def posture(self, angles: Angles) -> Posture:
         """Return the robot with its joints at these angles (see `poses`), and its motion by their
@@ -85,14 +85,16 @@ class Robot:
         units = {name: "world" if name in self.sliding else "rad" for name in self.joints}
         return Posture(self._assembly, poses, units)
 
-    def at(self, poses: Input[Mapping[str, ArrayLike], "4 4 each"]) -> Scene:
+    def scene_at(self, poses: Input[Mapping[str, ArrayLike], "4 4 each"]) -> Scene:
         """Return the robot with its links at poses (4, 4) that other kinematics found, by name.
 
         Raises ValueError where a link's is missing.
         """
         if missing := [link for link in self.links if link not in poses]:
             raise ValueError(f"`poses`: expected one of each link, got none of {missing[0]}")
-        return self._assembly.at([np.asarray(poses[link]) @ place for link, place in self._at])
+        return self._assembly.scene_at(
+            [np.asarray(poses[link]) @ place for link, place in self._at]
+        )
 
     def _checked(self, angles: Angles) -> dict[str, float]:
         if not isinstance(angles, Mapping):
