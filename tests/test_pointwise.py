@@ -10,7 +10,7 @@ import pinhole_jax as pj
 from pinhole_jax import plot
 from pinhole_jax._camera.bent import bent, straightened
 from pinhole_jax._camera.camera import camera_coordinates, to_camera
-from pinhole_jax._numerics.pointwise import SIZES, filled_up, room
+from pinhole_jax._numerics.pointwise import SIZES, padded, room
 
 LENS = pj.Lens([23.0, 21.0], 1.0, pj.BrownConrady(0.1, 0.02, 1e-3, -2e-3, 0.0))
 PLAIN = pj.Camera([0.3, 0.2, 4.0], [0.1, 0, 0], [0, 1, 0], 0.7, 1.0, 48, 40)
@@ -31,10 +31,10 @@ def test_rooms_are_few_and_hold_what_they_are_for():
 
 def test_padding_repeats_the_first_row_or_a_value():
     points = RANDOM.standard_normal((3, 2))
-    np.testing.assert_array_equal(filled_up(points, 5)[3:], points[[0, 0]])
-    np.testing.assert_array_equal(filled_up(points, 5, 0)[3:], 0)
-    assert filled_up(points, 3) is points
-    assert filled_up(np.float32([[1]]), 2, 0).dtype == np.float32
+    np.testing.assert_array_equal(padded(points, 5)[3:], points[[0, 0]])
+    np.testing.assert_array_equal(padded(points, 5, 0)[3:], 0)
+    assert padded(points, 3) is points
+    assert padded(np.float32([[1]]), 2, 0).dtype == np.float32
 
 
 @pytest.mark.parametrize(

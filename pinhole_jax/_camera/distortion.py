@@ -334,7 +334,7 @@ def _undistorted(model: RadialTangential, x: Array, y: Array) -> tuple[Array, Ar
 
 
 @_undistorted.defjvp
-def _(primals: Any, tangents: Any):
+def _undistorted_rate(primals: Any, tangents: Any):
     model, x, y = primals
     ideal = _undistorted(model, x, y)
     _, by_x, by_y = _linearised(model, model.trusted_radius(), *ideal)
@@ -353,7 +353,7 @@ def _angles(model: Fisheye, most: Array, radius: Float[Array, "*n"]) -> Float[Ar
 
 
 @_angles.defjvp
-def _(primals: Any, tangents: Any):
+def _angle_rate(primals: Any, tangents: Any):
     (model, most, radius), (moves, _, rise) = primals, tangents
     angle = _angles(model, most, radius)
     held = jax.lax.stop_gradient(angle)

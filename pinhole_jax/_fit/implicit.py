@@ -76,7 +76,7 @@ def through(
         return answer(solve(changing)[0])
 
     @answer_of.defjvp
-    def _(primals: Any, tangents: Any) -> tuple[Any, Any]:
+    def answer_rate(primals: Any, tangents: Any) -> tuple[Any, Any]:
         solved = solve(primals[0])
         return answer(solved[0]), velocity(*solved, tangents[0])
 

@@ -229,6 +229,8 @@ def _status(
 
 
 def _is_compared(end: Outcome, k: int) -> bool:
+    """True if the fit compared other places of the one pose that view k leaves unknown: several
+    views share it, or there is no other."""
     poses, lone = (
         [u.name for u in end.problem.unknowns_of(k) if u.kind == POSE],
         end.problem.lone_poses,

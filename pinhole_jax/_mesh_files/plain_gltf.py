@@ -55,7 +55,7 @@ def plain_gltf(data: bytes) -> bytes:
     plain |= {"scene": top.get("scene", 0), "asset": {"version": "2.0"}}
     _check_below(sizes["scenes"], plain["scene"], "scene")
     _check_nodes(plain)
-    _check_arrays(plain)
+    _keep_solid(plain)
     text = json.dumps(plain).encode()
     return text if size is None else pack_glb(text, data[start + size :])
 
@@ -113,8 +113,8 @@ def _check_nodes(plain: dict[str, Any]) -> None:
         raise wrong(f"nodes[{twice}]", "one parent", "two, or itself")
 
 
-def _check_arrays(plain: dict[str, Any]) -> None:
-    """Keep triangles and strips; check their accessors, and how much these show."""
+def _keep_solid(plain: dict[str, Any]) -> None:
+    """Drop points and lines from the file, and check all accessors and their total size."""
     numbers = sum(accessor.get("count", 0) for accessor in plain["accessors"])
     for m, mesh in enumerate(plain["meshes"]):
         for p, primitive in enumerate(mesh.get("primitives", [])):

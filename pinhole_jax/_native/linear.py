@@ -43,7 +43,7 @@ def differentiable_once(x: Any) -> Any:
 
 
 @differentiable_once.defjvp
-def _(primals: Any, tangents: Any):
+def _refused(primals: Any, tangents: Any):
     raise NotImplementedError(
         "silhouettes can be differentiated once: second derivatives of coverage are not defined by"
         " its contour alone (use Gauss-Newton, J^T J, in their place)"

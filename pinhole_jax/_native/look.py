@@ -94,7 +94,7 @@ def look(
 
 
 def pixels(sight: Sight, scene: Scene, level: MaskLevel, model: int) -> TouchedPixels:
-    """The pixels of a look. Arrays of NumPy, as long as there are pixels."""
+    """The pixels of a look: NumPy arrays, one entry a touched pixel."""
     none = np.zeros((0, len(sight.film_by_move) + 1), np.asarray(sight.film).dtype)
     given = *_operands(sight, scene, level), none
     arrays = [np.ascontiguousarray(x) for x in given]

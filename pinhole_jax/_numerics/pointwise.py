@@ -26,8 +26,8 @@ def room(number: int) -> int:
     return enough[0] if enough else number + -number % unit
 
 
-def filled_up(points: np.ndarray, number: int, value: Any = None) -> np.ndarray:
-    """Return a number of points: some are added, like the first, or of a value."""
+def padded(points: np.ndarray, number: int, value: Any = None) -> np.ndarray:
+    """Return points padded to a number, with copies of the first or with a value."""
     size = number - len(points)
     added = np.broadcast_to(points[:1] if value is None else value, (size, *points.shape[1:]))
     return np.concatenate([points, added.astype(points.dtype)]) if size else points
@@ -46,15 +46,15 @@ class pointwise(Generic[S]):
     def __call__(self, of: S, points: Any) -> Any:
         lead = points.shape[:-1]
         number = math.prod(lead)
-        if not (number and may_be_filled_up(of, points)):
+        if not (number and may_be_padded(of, points)):
             return self._run(of, points)
         rows = np.asarray(points).reshape(number, -1)
-        found = np.asarray(self._run(of, filled_up(rows, room(number))))
+        found = np.asarray(self._run(of, padded(rows, room(number))))
         return jnp.asarray(found[:number].reshape(*lead, -1), found.dtype)
 
 
-def may_be_filled_up(*given: Any) -> bool:
-    """Return True if a call with these arrays is a program of its own, on a CPU of no choice.
+def may_be_padded(*given: Any) -> bool:
+    """Return True if a call with these arrays is a program of its own, on the default CPU.
 
     There NumPy reads arrays without a copy.
     """

@@ -16,7 +16,7 @@ from .._camera.camera import Camera, lens_holds, to_camera
 from .._camera.film import FilmPart
 from .._camera.rays import project
 from .._fit.implicit import Slope
-from .._numerics.pointwise import filled_up, room
+from .._numerics.pointwise import padded, room
 from .._numerics.thin_qr import triangle_and_rhs
 from .._scene.scene import Ball, ball_about
 from .._solver.least_squares import Rows
@@ -92,7 +92,7 @@ class PointView(NamedTuple):
         # (What does not count may be NaN, whose derivative would be, too.)
         seen_at = np.where((weight > 0)[:, None], seen_at, 0)
         size = room(len(points))  # (what is filled up does not count either)
-        arrays = filled_up(points, size), filled_up(seen_at, size, 0), filled_up(weight, size, 0)
+        arrays = padded(points, size), padded(seen_at, size, 0), padded(weight, size, 0)
         return cls(film, *arrays, ball, freed, canonical(film))
 
     @property
@@ -216,7 +216,8 @@ class PointProblem(NamedTuple):
         ]
 
     def sizes(self, seen: list[PointRows], parts: list[Rows]) -> np.ndarray:
-        """A step's size on the film: where points hardly tell a lens, it would soon fold."""
+        """The change of each unknown that moves points by `FILM` px: a trust region, without which
+        a lens that points hardly show would fold."""
         del parts
         result = np.zeros(self.size)
         for k, one in enumerate(seen):

@@ -106,7 +106,7 @@ def without_copies(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """
     if len(faces) < 2:
         return faces
-    name = _names(vertices, faces)
+    name = _face_keys(vertices, faces)
     ascending = np.sort(name)
     if not np.any(ascending[1:] == ascending[:-1]):
         return faces
@@ -135,8 +135,8 @@ def without_copies(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return result
 
 
-def _names(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Return a number for each face, the same for those with the same corners by place."""
+def _face_keys(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Return a hash of each face, equal for faces with corners at the same places."""
     # A sum of well mixed numbers of the corners (splitmix64), whatever their order. 64 bits: of a
     # million faces two have the same by chance once in 10^7 meshes.
     mixed = (_places(vertices).astype(np.uint64) + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)

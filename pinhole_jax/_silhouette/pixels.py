@@ -91,7 +91,7 @@ def drawn(curves: Contour, film: tuple[int, int], base: Int[Array, ""], overlaps
     start = jnp.zeros((W * H, len(_Sums._fields)), real), jnp.zeros((H, W + 2), real)
     sums, jumps = fold_film(curves, film, add, start)
     corner = base.astype(real) + jnp.cumsum(jumps, axis=1)[:, :W].reshape(-1)
-    return _judged(_Sums(*sums.T), corner, overlaps)
+    return _verdict(_Sums(*sums.T), corner, overlaps)
 
 
 def _marks(m: Monotone, pieces: Pieces) -> Float[Array, "P 10"]:
@@ -112,7 +112,8 @@ def _marks(m: Monotone, pieces: Pieces) -> Float[Array, "P 10"]:
     return jnp.stack([x.astype(pieces.jump.dtype) for x in sums], axis=1)
 
 
-def _judged(sums: _Sums, corner: Float[Array, "N"], overlaps: bool) -> Pixels:
+def _verdict(sums: _Sums, corner: Float[Array, "N"], overlaps: bool) -> Pixels:
+    """The pixels by their pieces' sums; crowded ones are left to be resolved."""
     tie = 64 * jnp.finfo(corner.dtype).eps
     mean, number = corner + sums.gain, sums.number.astype(jnp.int32)
     coverage = jnp.clip(mean, 0, 1)

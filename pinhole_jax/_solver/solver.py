@@ -342,10 +342,10 @@ class Solver:
     def descents(
         self, cameras: Iterable[Camera], steps: int, number: int = -1
     ) -> Iterator[Solution]:
-        """The camera that `steps` steps on a level (-1: the last) reach from each start.
+        """Yield the solution that `steps` steps on a level (-1: the last) reach from each start.
 
-        A core works on each, also ahead of the caller. Each result lacks the way to it, and its
-        view is differentiated by moves of the start: look again at what you report.
+        Cores work in parallel, ahead of the caller. Solutions have no `way`, and their views are
+        differentiated by moves of the start: look again before you report one.
         """
         px = FINE_PX[self.dtype] if number in (-1, self.finest) else COARSE_PX
         for some in some_at_once(cameras):
@@ -357,7 +357,7 @@ class Solver:
                 yield Solution(view.camera, view, (n,), ended=n < steps)
 
     def program(self, camera: Camera, level: int) -> Hashable:
-        """What tells the program that looks at a camera from others."""
+        """A key of the compiled program that looks at a camera."""
         leaves, tree = jax.tree.flatten(self._given(camera, self.levels[level], 0.0, 1))
         return tree, *((x.shape, x.dtype) if hasattr(x, "shape") else x for x in leaves)
 

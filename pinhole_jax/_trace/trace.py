@@ -18,7 +18,7 @@ from .._camera.camera import Camera, camera_basis, check_camera
 from .._camera.rays import Rays, camera_rays
 from .._native.library import is_available
 from .._native.walker import walked
-from .._numerics.pointwise import filled_up, may_be_filled_up, room
+from .._numerics.pointwise import may_be_padded, padded, room
 from .._numerics.safe import binary_inverse, length, normalize
 from .._scene.scene import Mesh, Scene, Spheres, astype
 from .components import Parts, largest, outer, parts, unit, whole
@@ -122,13 +122,13 @@ def _with_room(scene: Any, rays: Any) -> tuple[Any, int | None]:
 
     The number is None for rays that are not filled up, as those of an image, whose size stays.
     """
-    if not (isinstance(scene, Scene) and isinstance(rays, Rays) and may_be_filled_up(scene, rays)):
+    if not (isinstance(scene, Scene) and isinstance(rays, Rays) and may_be_padded(scene, rays)):
         return rays, None
     origin, direction = rays
     if direction.ndim != 2 or not len(direction) or origin.shape not in ((3,), direction.shape):
         return rays, None
     filled: list[Any] = [
-        x if x.ndim == 1 else filled_up(np.asarray(x), room(len(direction))) for x in rays
+        x if x.ndim == 1 else padded(np.asarray(x), room(len(direction))) for x in rays
     ]
     return Rays(*filled), len(direction)
 
