@@ -27,12 +27,13 @@ FILES = {
         "_fit.strategy",
         "_fit.result",
         "_fit.fit_camera",
-        "_solver.kinds",
+        "_mask.kinds",
+        "_outline.statistics",
         "_solver.solver",
         "_solver.uncertainty",
         "_mask.search",
     ),
-    "wrong": ("_fit.likelihood", "_fit.refine", "_solver.outline_errors", "_solver.stretches"),
+    "wrong": ("_fit.likelihood", "_fit.refine", "_outline.outline_errors", "_outline.stretches"),
     "occluded": ("_fit.occluders",),
 }
 

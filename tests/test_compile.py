@@ -25,16 +25,18 @@ import json, sys
 import numpy as np
 import startup
 from kernels import kernels
+from pinhole_jax._mask.mask import Mask
 from pinhole_jax._solver.levenberg_marquardt import descended
 from pinhole_jax._solver.looks import size_of_looks
 from pinhole_jax._solver.moves import canonical
 from pinhole_jax._solver.solver import Solver
+from pinhole_jax._solver.subject import Subject
 
 def fit():
     camera, scene = startup.camera(), startup.scene()
-    weights = np.ones((camera.H, camera.W))
-    mask = np.hypot(*np.mgrid[-128:128, -128:128]) < 70
-    solver = Solver.from_scene(scene, mask, weights, np.float32, ("pose", "phi"), 64)
+    disc = np.hypot(*np.mgrid[-128:128, -128:128]) < 70
+    mask = Mask(disc, np.ones((camera.H, camera.W)), camera)
+    solver = Solver.on(Subject.from_scene(scene, np.float32), mask, ("pose", "phi"), 64)
     ends = np.float32(1e-3), np.float32(0), np.int32(1)
     level = solver.levels[solver.finest], *ends, solver.freed, size_of_looks(solver.levels)
     return descended, (canonical(camera), solver.problem, *level)

@@ -10,8 +10,8 @@ from scipy.ndimage import gaussian_filter
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
+from pinhole_jax._mask.kinds import kind_of
 from pinhole_jax._mask.target import as_coverage, check_target
-from pinhole_jax._solver.kinds import kind_of
 
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 128, 128)
 

@@ -14,8 +14,8 @@ import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._mask.pyramid import pyramid
 from pinhole_jax._numerics.thin_qr import triangle_of
+from pinhole_jax._outline.stretches import Coverage, coverage_of
 from pinhole_jax._solver.moves import canonical, moved, on_film
-from pinhole_jax._solver.stretches import Coverage, coverage_of
 
 LENS = pj.BrownConrady(-0.3, 0.1, 2e-3, 1e-3, 0.02)
 

@@ -17,9 +17,10 @@ from pinhole_jax._fit.edge import edge_of
 from pinhole_jax._fit.likelihood import _cheapest
 from pinhole_jax._fit.refine import Refiner
 from pinhole_jax._mask.mask import Mask
+from pinhole_jax._outline.stretches import coverage_of, outline_means, outline_pixels
 from pinhole_jax._solver.moves import canonical
 from pinhole_jax._solver.solver import Solver
-from pinhole_jax._solver.stretches import coverage_of, outline_means, outline_pixels
+from pinhole_jax._solver.subject import Subject
 from pinhole_jax.show.outline import RED
 
 COLUMNS = np.arange(96) + 0.5
@@ -71,8 +72,8 @@ def test_means_about_an_outline_are_those_of_whole_images(scene):
     from scipy.ndimage import uniform_filter
 
     truth = anywhere(3)
-    hard, ones = drawn(truth, scene) > 0.5, np.ones((80, 96))
-    solver = Solver.from_scene(scene, hard, ones, np.float64, ("pose",), 8)
+    mask = Mask(drawn(truth, scene) > 0.5, np.ones((80, 96)), truth)
+    solver = Solver.on(Subject.from_scene(scene, np.float64), mask, ("pose",), 8)
     near = pj.Camera(0.5 * truth.e, truth.p, truth.u, truth.phi, 1.0, 96, 80)
     view = solver.look(canonical(near), solver.finest)
     place, rows, _ = outline_pixels(view)
@@ -90,7 +91,7 @@ def test_means_about_an_outline_are_those_of_whole_images(scene):
 
 def refiner_of(truth, scene, seen, weight=None) -> Refiner:
     mask = Mask(seen * 1.0, np.ones((80, 96)) if weight is None else weight, truth)
-    solver = Solver.from_scene(scene, mask.target, mask.weight, np.float64, ("pose",), 8)
+    solver = Solver.on(Subject.from_scene(scene, np.float64), mask, ("pose",), 8)
     return Refiner.on(solver, mask, 2.0)
 
 

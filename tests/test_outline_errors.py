@@ -10,11 +10,14 @@ from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
+from pinhole_jax._mask.mask import Mask
 from pinhole_jax._mask.target import levelled
+from pinhole_jax._outline.outline_errors import is_drawn, outline_errors
+from pinhole_jax._outline.statistics import mask_errors
+from pinhole_jax._outline.stretches import stretches_of
 from pinhole_jax._solver.moves import canonical
-from pinhole_jax._solver.outline_errors import is_drawn, outline_errors
 from pinhole_jax._solver.solver import Solver
-from pinhole_jax._solver.stretches import stretches_of
+from pinhole_jax._solver.subject import Subject
 
 SIZE = 128
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, SIZE, SIZE)
@@ -36,7 +39,8 @@ def image(scene):
 
 
 def solver_of(scene, target):
-    return Solver.from_scene(scene, target, np.ones(target.shape), np.float32, ("pose",), 64)
+    subject = Subject.from_scene(scene, np.float32)
+    return Solver.on(subject, Mask(target, np.ones(target.shape), single(CAMERA)), ("pose",), 64)
 
 
 def seen(scene, target):
@@ -93,7 +97,7 @@ def test_single_pixels_tell_a_drawn_mask_whose_stretches_err_by_no_more_than_one
     solver = solver_of(scene, mask)
     found = [outline_errors(view, target, weights, 1 / 12, hard) for hard in (True, False)]
     assert found[0].computed < 0.05 < found[1].computed
-    assert is_drawn(solver.errors(view))
+    assert is_drawn(mask_errors(solver, view))
     one = seen(scene, image > 0.5)
     assert outline_errors(*one, 1 / 12, True).computed == 1
     assert stretches_of(*one).beyond == 0
@@ -110,7 +114,7 @@ def test_rendered_triangle_soup_is_not_taken_for_drawn():
         view, target, weights = seen(soup, mask)
         stretches = stretches_of(view, target, weights)
         assert stretches.pixels > 1.9 * np.sum(stretches.length)
-        assert is_drawn(solver_of(soup, mask).errors(view)) == told
+        assert is_drawn(mask_errors(solver_of(soup, mask), view)) == told
 
 
 def test_rendered_soft_mask_has_no_mask_error(scene, image):

@@ -11,9 +11,11 @@ import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._fit import photo as photos
 from pinhole_jax._mask import matte
+from pinhole_jax._mask.mask import Mask
+from pinhole_jax._outline.stretches import coverage_of
 from pinhole_jax._solver.moves import canonical
 from pinhole_jax._solver.solver import Solver
-from pinhole_jax._solver.stretches import coverage_of
+from pinhole_jax._solver.subject import Subject
 
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 192, 160)
 START = turned(CAMERA, [1, 2, 3], 3)
@@ -140,7 +142,8 @@ def test_coverage_is_read_from_the_pixels_that_a_contour_touches(scene, shown):
     near = pj.Camera([0.15, 0.5, 2.4], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 192, 160)
     for camera in (CAMERA, near):
         unit = canonical(camera)
-        solver = Solver.from_scene(scene, shown, np.ones(shown.shape), np.float64, ("pose",), 4)
+        mask = Mask(shown, np.ones(shown.shape), camera)
+        solver = Solver.on(Subject.from_scene(scene, np.float64), mask, ("pose",), 4)
         view = solver.look(unit, solver.finest)
         level = solver.levels[solver.finest]
         expected = level.window().crop(drawn(camera, scene))

@@ -5,7 +5,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -23,13 +23,14 @@ from pinhole_jax import shapes
 from pinhole_jax._fit import places, strategy
 from pinhole_jax._fit.likelihood import Account
 from pinhole_jax._fit.refine import Candidate, likeliest
+from pinhole_jax._mask.kinds import Kind
 from pinhole_jax._mask.pyramid import Level
+from pinhole_jax._native.look import TouchedPixels
 from pinhole_jax._numerics import threads
+from pinhole_jax._outline.outline_errors import OutlineErrors
 from pinhole_jax._scene.scene import ball_about
-from pinhole_jax._solver.kinds import Kind
-from pinhole_jax._solver.looks import Sums, View
+from pinhole_jax._solver.looks import Origin, Sums, View
 from pinhole_jax._solver.moves import canonical
-from pinhole_jax._solver.outline_errors import OutlineErrors
 from pinhole_jax._solver.priors import no_others
 from pinhole_jax._solver.solver import FAR_LEVEL, Solution, Solver
 
@@ -250,6 +251,12 @@ def test_prior_and_start_decide_the_view_of_a_round_body():
         assert pj.pose_error(fit.camera, camera)[0] < min(2 * np.max(fit.std[:3]), 0.1)
 
 
+class Drawn(Candidate):
+    """A candidate for a mask that a person drew."""
+
+    errors = OutlineErrors(1.0, 5.0, 0.0, 20.0, np.eye(6))
+
+
 @pytest.mark.parametrize(
     ("logs", "anywhere", "expected"),
     [
@@ -262,11 +269,9 @@ def test_prior_and_start_decide_the_view_of_a_round_body():
 )
 def test_likeliest_candidates_stand_first(logs, anywhere, expected):
     cameras = [turned(START, [0, 0, 1], degrees, 1.0) for degrees in (8, 4, 30)]
-    errors = OutlineErrors(1.0, 5.0, 0.0, 20.0, np.eye(6))
-    near: Any = SimpleNamespace(errors=lambda view: errors)
-    none = np.zeros(0, bool)
+    none, near = np.zeros(0, bool), Walked(0.0)
     candidates = [
-        Candidate(Solution(c, seen(), ()), seen(), Account(log, 1, 5, none, none, 0), near, near)
+        Drawn(Solution(c, seen(), ()), seen(), Account(log, 1, 5, none, none, 0), near, near)
         for c, log in zip(cameras, logs, strict=True)
     ]
     kept = likeliest(candidates, 3, None if anywhere else START)
@@ -274,9 +279,19 @@ def test_likeliest_candidates_stand_first(logs, anywhere, expected):
 
 
 def seen(prior=0.0, sums=None) -> View:
-    """A view that knows its squares alone."""
+    """A view that knows its squares alone, and shows no outline."""
     parts = np.zeros(0), np.zeros(0), sums or like(Sums), *[np.zeros(0)] * 3
-    return View(*parts, prior)
+    return View(*parts, prior, Blank())
+
+
+class Blank(Origin):
+    """Where a look showed no outline."""
+
+    level = like(Level)._replace(origin=np.zeros(2))
+    pixels = TouchedPixels(*[np.zeros(0)] * 7)
+
+    def __init__(self):
+        """Nothing is known of the look."""
 
 
 class Walked(Solver):
@@ -290,10 +305,7 @@ class Walked(Solver):
         kind = Kind("one bit", 1 / 12, 0.1, 0.05, exact)
         subject = SimpleNamespace(ball=ball)
         vars(self).update(kind=kind, subject=subject, max_steps=64, prior=None, others=others)
-        vars(self).update(squares=squares, asked=[])
-
-    def errors(self, view):
-        return None
+        vars(self).update(squares=squares, asked=[], target=np.zeros((1, 1)), weights=None)
 
     def look(self, unit, number=-1):
         return seen(0.1, like(Sums)._replace(touched=300.0, touched_squares=0.1))

@@ -9,10 +9,10 @@ import pytest
 
 import pinhole_jax as pj
 from pinhole_jax._mask.edges import NearWeights, edge_band
+from pinhole_jax._mask.kinds import kind_of
 from pinhole_jax._mask.mask import Mask
 from pinhole_jax._mask.pyramid import PAGE, cells_of, pyramid
 from pinhole_jax._mask.target import Window, object_window
-from pinhole_jax._solver.kinds import kind_of
 
 
 def disc(H: int, W: int) -> np.ndarray:

@@ -9,8 +9,8 @@ import numpy as np
 from .._camera.camera import Camera
 from .._mask.mask import Mask
 from .._mask.target import as_coverage, inside_of
+from .._outline.stretches import outline_means, outline_pixels
 from .._solver.solver import Solver
-from .._solver.stretches import outline_means, outline_pixels
 
 #: The normals of a mask's edge are those of a mask that is smoothed over this many px.
 SMOOTH_PX = 2

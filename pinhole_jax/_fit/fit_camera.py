@@ -14,17 +14,19 @@ from .._camera.lens import Lens
 from .._camera.rays import project
 from .._files.progress import say, shown
 from .._mask.edges import NearWeights
+from .._mask.kinds import Kind
 from .._mask.mask import Mask
 from .._mask.target import MOST_BORDER, border_of, check_target, inside_of, levelled
 from .._numerics.arrays import ArrayLike, Input, float_dtype, is_concrete
+from .._outline.outline_errors import OutlineErrors, is_drawn
+from .._outline.statistics import mask_errors
 from .._scene.scene import Scene, check_scene
-from .._solver.kinds import Kind
 from .._solver.looks import Sums
 from .._solver.moves import Bounds, canonical
-from .._solver.outline_errors import OutlineErrors, is_drawn
 from .._solver.parameters import check_free, focal_is_free, in_one, with_lens
 from .._solver.priors import Pair, Prior, bounds_of, prior_of
 from .._solver.solver import Solution, Solver, Stop
+from .._solver.subject import Subject
 from .drift import other_places
 from .edge import Edge
 from .implicit import camera_velocity, check_plain, through
@@ -244,7 +246,7 @@ def _fit(
     say("last level: looking for other views that fit")
     if reach is None or places.best.view.touched_misfit <= EXACT * mask.usual_weight:
         ended = to_the_end(solver, [places.best, *places.others])
-        modes = [_Mode(f, f.view.sums, solver.errors(f.view)) for f in ended]
+        modes = [_Mode(f, f.view.sums, mask_errors(solver, f.view)) for f in ended]
         free, near, edge = free_about(solver, ended[0], places), solver, None
     else:
         # 2. Refine each on the part of the mask's edge that it believes.
@@ -295,11 +297,9 @@ def behind_something(refiner: Refiner, plain: Candidate, start: Camera | None) -
 
 
 def _solver(scene: Scene, mask: Mask, freed: tuple[str, ...], settings: Settings) -> Solver:
-    return Solver.from_scene(
-        scene,
-        mask.target,
-        mask.weight,
-        mask.camera.e.dtype,
+    return Solver.on(
+        Subject.from_scene(scene, mask.camera.e.dtype),
+        mask,
         freed,
         settings.max_steps,
         settings.bounds,

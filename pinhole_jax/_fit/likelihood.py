@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .._mask.edges import NearWeights
-from .._solver.outline_errors import ErrorFit, Offsets, weigh
+from .._outline.outline_errors import ErrorFit, Offsets, weigh
 from .edge import Blocks, Edge, OutlinePoints, matched
 
 #: Blocks of a mask's edge, each of at least this many px.

@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from .._camera.axes import axes_of
 from .._camera.camera import Camera
+from .._mask.mask import Mask
 from .._mask.target import check_weight
 from .._numerics.arrays import ArrayLike, Input
 from .._scene.scene import Scene, check_scene, check_view
@@ -15,6 +16,7 @@ from .._solver.moves import canonical
 from .._solver.parameters import check_free, components, labels_of, with_lens
 from .._solver.problem import UNIT_PX
 from .._solver.solver import Solver
+from .._solver.subject import Subject
 from .._solver.uncertainty import BLIND, covariance, weak_directions
 from .result import to_units
 
@@ -122,7 +124,8 @@ def _look(
     camera = with_lens(camera, freed)
     weights = check_weight(weight, camera.W, camera.H)
     image = np.full(weights.shape, 0.25)  # any mask
-    solver = Solver.from_scene(scene, image, weights, camera.e.dtype, freed, 1)
+    subject, mask = Subject.from_scene(scene, camera.e.dtype), Mask(image, weights, camera)
+    solver = Solver.on(subject, mask, freed, 1)
     view = solver.look(canonical(camera), solver.finest)
     reported = to_units(view.to_reported, freed, camera)
     return freed, camera, np.asarray(view.triangle, float), reported, BLIND[solver.dtype]

@@ -12,15 +12,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from .._mask.kinds import Kind
 from .._mask.mask import Mask
 from .._mask.matte import Band, Matte, light, matte, tiles
 from .._mask.target import NOISE, Window, edge_distance
-from .._solver.kinds import Kind
+from .._outline.outline_errors import OutlineErrors, is_drawn
+from .._outline.statistics import mask_errors
+from .._outline.stretches import coverage_of
 from .._solver.looks import Sums
-from .._solver.outline_errors import OutlineErrors, is_drawn
 from .._solver.problem import FINE_PX
 from .._solver.solver import Solution, Solver, onward
-from .._solver.stretches import coverage_of
 from .places import Free, interval
 
 #: Where colours are learned and asked for, round by round: masks are off by some px at first. (A
@@ -126,7 +127,7 @@ def on_photo(solver: Solver, mask: Mask, photo: np.ndarray, found: Solution) -> 
     sums = over_all._replace(touched=refined.view.sums.touched)
     if not taken:
         return PhotoResult(None, sums, COLOURS, None, [], note)
-    errors = own.errors(refined.view)
+    errors = mask_errors(own, refined.view)
     free = interval(own, refined, errors) if is_drawn(errors) else []
     return PhotoResult(refined, sums, COLOURS, errors, free, note)
 

@@ -15,8 +15,9 @@ import numpy as np
 from .._camera.axes import angle, axes_of
 from .._camera.camera import Camera
 from .._mask.search import sphere_points
+from .._outline.outline_errors import OutlineErrors, is_drawn
+from .._outline.statistics import mask_errors, residual_variance
 from .._solver.looks import View
-from .._solver.outline_errors import OutlineErrors, is_drawn
 from .._solver.parameters import components
 from .._solver.revolution import Revolution
 from .._solver.solver import Solution, Solver
@@ -233,8 +234,8 @@ def _best_turned(
 def equal_views(solver: Solver, view: View, best: View, most: float = np.inf) -> bool:
     """True if the mask's own noise allows a view as well as the best, within this many variances at
     `most`."""
-    times = DRAWN_TIMES if is_drawn(solver.errors(best)) else EQUAL_TIMES
-    allowed = min(times, most) * solver.variance(best)
+    times = DRAWN_TIMES if is_drawn(mask_errors(solver, best)) else EQUAL_TIMES
+    allowed = min(times, most) * residual_variance(solver, best)
     return bool(_surplus(solver, view) - _surplus(solver, best) <= allowed)
 
 
@@ -271,7 +272,7 @@ def _direction(solver: Solver, found: Solution, value: float, vector: np.ndarray
     if np.linalg.norm(vector[turns]) > 0.3:  # a large turn is a turn alone
         move = np.where(turns, vector, 0) / np.linalg.norm(vector[turns])
         axis = move[turns] @ axes_of(found.camera)
-    sigma = solver.variance(found.view) ** 0.5 / max(value, 1e-300) / radian
+    sigma = residual_variance(solver, found.view) ** 0.5 / max(value, 1e-300) / radian
     return _Direction(move * radian, axis, min(sigma, np.pi))
 
 

@@ -10,10 +10,11 @@ from .._camera.axes import angle
 from .._camera.camera import Camera
 from .._mask.edges import NearWeights
 from .._mask.mask import Mask
+from .._outline.outline_errors import OutlineErrors, is_drawn
+from .._outline.statistics import mask_errors, quantisation
 from .._solver.looks import View
-from .._solver.outline_errors import OutlineErrors, is_drawn
 from .._solver.problem import COARSE_PX, FINE_PX
-from .._solver.solver import LEAST_VARIANCE, ONE_BIT, Solution, Solver, onward
+from .._solver.solver import Solution, Solver, onward
 from .edge import Edge, edge_of, outline_seen
 from .likelihood import Account, account, believed
 
@@ -60,7 +61,7 @@ class Candidate:
     @property
     def errors(self) -> OutlineErrors | None:
         """How the mask's outline errs where it is believed."""
-        return self.wide.errors(self.found.view)
+        return mask_errors(self.wide, self.found.view)
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,8 +131,7 @@ class Refiner:
 
     def account(self, camera: Camera, roughly: bool = False) -> Account | None:
         """The account of the mask's edge by a camera."""
-        noise = self.solver.kind.variance / self.mask.usual_weight
-        noise = float(np.clip(noise, LEAST_VARIANCE, ONE_BIT))
+        noise = quantisation(self.solver.kind.variance, self.mask.usual_weight)
         outline = outline_seen(self.solver, camera, self.solver.finest)
         return account(self.edge, outline, noise, roughly)
 

@@ -9,11 +9,11 @@ from jaxtyping import Float
 
 from .._camera.axes import axes_of
 from .._camera.camera import Camera
+from .._mask.kinds import Kind
 from .._numerics.arrays import ArrayLike, Input, is_concrete
-from .._solver.kinds import Kind
+from .._outline.outline_errors import OutlineErrors, is_drawn
 from .._solver.looks import Sums, View
 from .._solver.moves import Bounds, displaced, on_film
-from .._solver.outline_errors import OutlineErrors, is_drawn
 from .._solver.parameters import LABELS, PARAMETERS, components, labels_of
 from .._solver.problem import COSINE, FINE_PX, UNIT_PX
 from .._solver.solver import Solution, Stop
@@ -186,15 +186,13 @@ def progress_at(stop: Stop, camera: Camera) -> Progress:
 
 class Context(NamedTuple):
     """What is known beside a view: the mask's kind, bounds, the directions found to be free, how
-    the outline errs; a residual's variance if known better, and how many times as large it is as
-    of independent residuals."""
+    the outline errs; a residual's variance if known better."""
 
     kind: Kind
     bounds: Bounds | None = None
     free: Sequence[Free] = ()
     errors: OutlineErrors | None = None
     variance: float | None = None
-    design: float = 1.0
     astray: float | None = None
     hidden: bool = False
 
@@ -292,7 +290,7 @@ def gradients(view: View, variance: float, context: Context) -> tuple[np.ndarray
     triangle = np.asarray(view.triangle, float)
     independent, errors = variance * triangle.T @ triangle, context.errors
     if errors is None:
-        return independent, context.design * independent
+        return independent, independent
     # What is not of this mask's pixels, as a prior, keeps its variance.
     beside, share = variance * view.known.T @ view.known, errors.computed
     return independent, share * independent + (1 - share) * beside + errors.gradient

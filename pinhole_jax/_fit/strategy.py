@@ -10,8 +10,9 @@ from .._camera.axes import angle, axes_of
 from .._camera.camera import Camera
 from .._mask.mask import Mask
 from .._mask.search import aimed, guesses
+from .._outline.outline_errors import is_drawn
+from .._outline.statistics import is_explained, mask_errors, misfit_above_noise
 from .._solver.moves import canonical
-from .._solver.outline_errors import is_drawn
 from .._solver.parameters import components, focal_is_free
 from .._solver.problem import FINE_PX
 from .._solver.solver import Solution, Solver, Stop, onward
@@ -84,15 +85,15 @@ def looked_round(
     nearest to the start first."""
     if not turns_freely(solver.freed):
         return settled(solver, found, start)
-    places, content = Places(found, [], []), solver.explains(found.view)
-    if content or solver.misfit_above_noise(found.view) <= EXACT * mask.usual_weight:
+    places, content = Places(found, [], []), is_explained(solver, found.view)
+    if content or misfit_above_noise(solver, found.view) <= EXACT * mask.usual_weight:
         places = settled(solver, found, start)
         alike = [c for c in mirrored(solver, places.best) if angle(c, start) < NEAR_START]
         places = with_others(solver, places, finished(solver, alike))
-        content = solver.explains(places.best.view)
+        content = is_explained(solver, places.best.view)
     explained = solver.kind.exact and content
     astray = not explained and angle(places.best.camera, start) > ASTRAY
-    if astray or not content or is_drawn(solver.errors(places.best.view)):
+    if astray or not content or is_drawn(mask_errors(solver, places.best.view)):
         places = _with_the_searched(
             solver, places, searched(solver, mask, on_stop, rounds=1), start
         )
@@ -189,7 +190,7 @@ def searched(solver: Solver, mask: Mask, on_stop: OnStop, rounds: int) -> list[S
         source, likely = tee(source)
         apart = APART / (1 if free else 2**n)
         found = _one_of_each([*found, *_followed(solver, likely, apart, on_stop)], solver.freed)
-        if solver.explains(found[0].view):
+        if is_explained(solver, found[0].view):
             break
     return found
 

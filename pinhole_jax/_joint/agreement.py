@@ -21,8 +21,9 @@ from typing import NamedTuple
 import numpy as np
 
 from .._fit.result import Context, gradients
+from .._outline.outline_errors import OutlineErrors
+from .._outline.statistics import mask_errors
 from .._solver.least_squares import Descent, LinearSolution, Rows, solve
-from .._solver.outline_errors import OutlineErrors
 from .._solver.parameters import components
 from .._solver.problem import FINE_PX, UNIT_PX
 from .._solver.solver import Solver
@@ -232,7 +233,7 @@ def _agreement(problem: JointProblem, found: Descent, counts: np.ndarray) -> Agr
     prior_rows = problem.prior_rows(found.state, seen, noise)
     rows = []
     for eye, s in zip(problem.eyes, seen, strict=True):
-        errors = eye.solver.errors(s.view)
+        errors = mask_errors(eye.solver, s.view)
         gradient = _gradient(eye.solver, s, errors)
         misfit = max(s.view.touched_misfit, eye.solver.kind.least)
         rows.append((errors, gradient, misfit, *_distance(eye.solver, s, gradient)))

@@ -36,6 +36,7 @@ from .._fit.strategy import (
 )
 from .._mask.mask import Mask
 from .._mask.search import guesses
+from .._outline.statistics import is_explained
 from .._solver.least_squares import LinearSolution, solve
 from .._solver.moves import canonical, on_film
 from .._solver.parameters import LABELS, labels_of
@@ -273,7 +274,7 @@ def _is_content(problem: JointProblem, path: Path) -> bool:
     pairs = zip(problem.eyes, views, strict=True)
     # (Zeros that are not where they are sought explain no mask.)
     if all(eye.solver.kind.exact for eye in problem.eyes) and not problem.zeros:
-        return all(eye.solver.explains(view) for eye, view in pairs)
+        return all(is_explained(eye.solver, view) for eye, view in pairs)
     overlap, union = (sum(float(getattr(v.sums, x)) for v in views) for x in ("overlap", "union"))
     return path.descent.ended and overlap >= LIKELY_IOU * union
 

@@ -67,15 +67,16 @@ def joint_problem(
     limits = bounds_by_name(bounds, cameras, freed, owners)
 
     moving = {n: RIG if n in places else n for n in cameras}
-    options = outlier_px is not None, LEAST_CELLS if len(views) < MANY_VIEWS else FEW_CELLS
+    cells = LEAST_CELLS if len(views) < MANY_VIEWS else FEW_CELLS
+    options = {"continued": outlier_px is not None, "cells": cells}
     # (A scene's arrays are not copied for each view.)
     scenes = {id(view.scene): (view.scene, cameras[view.camera].e.dtype) for view in views}
     subjects = {key: Subject.from_scene(*scene) for key, scene in scenes.items()}
     eyes = []
     for k, view in enumerate(views):
         name, mask = view.camera, _checked_mask(k, view, cameras, search, as_given)
-        own = subjects[id(view.scene)], mask.target, mask.weight, (POSE, *lens), max_steps
-        solver, place = Solver.on(*own, limits[name], *options), places.get(name, np.eye(4))
+        own = subjects[id(view.scene)], mask, (POSE, *lens), max_steps, limits[name]
+        solver, place = Solver.on(*own, **options), places.get(name, np.eye(4))
         on = owners[name], moving[name], *_transforms(k, view), place
         eyes.append(Eye(view, mask, solver, *on))
 

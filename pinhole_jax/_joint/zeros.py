@@ -13,9 +13,9 @@ from .._camera.camera import Camera
 from .._camera.poses import adjoint, inverse, pose_of
 from .._camera.rays import project
 from .._mask.pyramid import Level
+from .._outline.stretches import Coverage
 from .._silhouette.visible import edge_weights, ranks
 from .._solver.looks import View
-from .._solver.stretches import Coverage
 from .._solver.subject import on_film_plane
 from .views import Eye, State
 

@@ -10,6 +10,7 @@ import numpy as np
 from .._camera.bent import bent
 from .._camera.camera import Camera, film_map, focal_px, principal_point
 from .edges import EdgeBand, NearWeights, alike, edge_band, near_weights
+from .kinds import Kind, kind_of
 from .signatures import Signature, signatures
 from .target import Window, as_coverage, inside_of, object_window
 
@@ -33,6 +34,12 @@ class Mask:
         some = self.weight[:1, :1] if alike(self.weight) else self.weight
         weighed = some[some > 0]
         return float(np.median(weighed)) if weighed.size else 1.0
+
+    @cached_property
+    def kind(self) -> Kind:
+        """The mask's kind, in the camera's float type."""
+        window = object_window(self.target)
+        return kind_of(window.crop(self.target), window.crop(self.weight), self.camera.e.dtype)
 
     def near_edge(self, reach: float) -> NearWeights:
         """Return the weights of pixels near the mask's edge; 0 farther than `reach` (px)."""

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._camera.camera import Camera
+from .._mask.kinds import RESOLVED
 from .._mask.pyramid import Level, Pyramid
 from .._scene.scene import Ball, Scene
 from .moves import Bounds, Move, scales
@@ -17,8 +18,7 @@ from .priors import OtherViews, Prior
 #: larger units make bolder first steps.
 UNIT_PX = 30.0
 #: A step is negligible below this many pixels; on coarse levels, and on the finest.
-COARSE_PX = 0.02
-FINE_PX = {np.dtype(np.float32): 3e-4, np.dtype(np.float64): 1e-7}
+COARSE_PX, FINE_PX = 0.02, RESOLVED
 #: ... or where it would change the residuals by less than this share of their norm: MINPACK's
 #: cosine between residual and Jacobian, some thousandths of the error that noise leaves anyway.
 COSINE = {np.dtype(np.float32): 1e-4, np.dtype(np.float64): 1e-5}

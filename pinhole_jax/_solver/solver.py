@@ -10,24 +10,19 @@ import numpy as np
 
 from .._camera.camera import Camera
 from .._mask.edges import Weights
+from .._mask.kinds import Kind
+from .._mask.mask import Mask
 from .._mask.pyramid import LEAST_CELLS, Level
 from .._mask.target import Window, object_window
 from .._numerics.threads import in_threads, some_at_once
-from .._scene.scene import Scene
-from .kinds import Kind, kind_of
 from .looks import Origin, View, size_of_looks
 from .moves import Bounds, Move, moved
-from .outline_errors import OutlineErrors, is_drawn, outline_errors
 from .priors import OtherViews, Prior, no_others
 from .problem import COARSE_PX, FINE_PX, SETTLED, Problem, move_about
 from .revolution import Revolution
 from .store import Levels, LevelsKey, Store
 from .subject import Subject
 
-#: Noise leaves at most this many standard errors more than on average.
-ERRORS = 4.0
-#: What a hard edge leaves in a pixel of the outline, and what 8 bits do.
-ONE_BIT, LEAST_VARIANCE = 1 / 12, 1 / 12 / 255**2
 #: A step that is negligible (px) where a fit goes on to fewer pixels: half as many steps as to
 #: float32's resolution, and squares within a hundred thousandth.
 CONTINUED_PX = 5e-3
@@ -63,12 +58,6 @@ def onward(before: Solution, after: Solution) -> Solution:
     return after._replace(steps=steps, way=way)
 
 
-def last_px(kind: Kind, dtype: Any, continued: bool) -> float:
-    """The step (px) that is negligible on the finest level. A fit `continued` on fewer pixels,
-    as any mask that is not exact, moves by more then."""
-    return CONTINUED_PX if continued and not kind.exact else FINE_PX[np.dtype(dtype)]
-
-
 @dataclass(frozen=True, eq=False)
 class Solver:
     """One subject, one mask, and what is asked of them.
@@ -101,44 +90,27 @@ class Solver:
     walked: list[tuple[Camera, Revolution, list[Solution]]] = field(
         default_factory=list, init=False
     )
-    _errors: list[tuple[View, OutlineErrors | None]] = field(default_factory=list, init=False)
 
     @classmethod
-    def from_scene(
+    def on(
         cls,
-        scene: Scene,
-        target: np.ndarray,
-        weights: np.ndarray,
-        dtype: Any,
+        subject: Subject,
+        mask: Mask,
         freed: tuple[str, ...],
         max_steps: int,
         bounds: Bounds | None = None,
         prior: Prior | None = None,
         record: bool = False,
         continued: bool = False,
-    ) -> "Solver":
-        """Return the solver of a scene and a mask, in a float type; `continued` as in `last_px`."""
-        given = target, weights, freed, max_steps, bounds
-        made = cls.on(Subject.from_scene(scene, dtype), *given, continued=continued)
-        return replace(made, prior=prior, record=record)
-
-    @classmethod
-    def on(
-        cls,
-        subject: Subject,
-        target: np.ndarray,
-        weights: np.ndarray,
-        freed: tuple[str, ...],
-        max_steps: int,
-        bounds: Bounds | None = None,
-        continued: bool = False,
         cells: int = LEAST_CELLS,
     ) -> "Solver":
-        """Return the solver of a subject and a mask, whose pyramids hold `cells` at least."""
-        window, dtype = object_window(target), subject.dtype
-        kind = kind_of(window.crop(target), window.crop(weights), dtype)
-        ends = max_steps, last_px(kind, dtype, continued)
-        return cls(subject, target, weights, kind, freed, *ends, Store(window, cells), bounds)
+        """The solver of a subject and a mask, whose pyramids hold `cells` at least. A fit that is
+        `continued` on fewer pixels moves by more then, unless the mask is exact."""
+        rough = continued and not mask.kind.exact
+        given = subject, mask.target, mask.weight, mask.kind, freed, max_steps
+        px = CONTINUED_PX if rough else FINE_PX[subject.dtype]
+        store = Store(object_window(mask.target), cells)
+        return cls(*given, px, store, bounds, prior, record=record)
 
     def weighed(
         self, weights: Weights, target: np.ndarray | None = None, only_finest: bool = False
@@ -164,7 +136,7 @@ class Solver:
     @property
     def _levels(self) -> Levels:
         window = self.store.window
-        key = LevelsKey(self.target, self.weights, self.kind, window, self.only_finest)
+        key = LevelsKey(self.target, self.weights, self.kind.explained, window, self.only_finest)
         return self.store.levels(key, self.dtype)
 
     @property
@@ -198,58 +170,10 @@ class Solver:
         noise = np.asarray(self.store.noise, self.dtype)
         return eqx.tree_at(lambda prior: prior.noise, self.prior, noise)
 
-    def misfit_above_noise(self, view: View) -> float:
-        """Return the mean square residual of an outline pixel, all squares put on these pixels but
-        what noise leaves in others."""
-        touched = float(view.sums.touched)
-        noise = self.kind.far * max(self._levels.counted - touched, 0.0)
-        return max(view.squares - noise, 0.0) / max(touched, 1.0)
-
-    def explains(self, view: View) -> bool:
-        """True if a right camera may leave these squares in a mask of this kind.
-
-        Noise that is even says how much it leaves in all, and how exactly: what is beyond that is
-        something else, as a handle that only the mask shows.
-        """
-        misfit, kind = self.misfit_above_noise(view), self.kind
-        if not kind.spread:
-            return bool(misfit <= kind.most)
-        excess = (misfit - kind.variance) * max(float(view.sums.touched), 1.0)
-        return bool(excess <= ERRORS * kind.spread)
-
-    def errors(self, view: View) -> OutlineErrors | None:
-        """The errors of the mask's outline, as a view shows them; None for a mask that is
-        computed and explained, and where too little is seen."""
-        if self.kind.exact and self.kind.explains(view.touched_misfit, False):
-            return None
-        if not self._errors or self._errors[0][0] is not view:
-            weight = np.asarray(view.pixels.weight)
-            scale = float(np.median(weight[weight > 0])) if np.any(weight > 0) else 1.0
-            noise = max(self.kind.variance, view.touched_misfit) / scale
-            noise = float(np.clip(noise, LEAST_VARIANCE, ONE_BIT))  # more is no noise of pixels
-            found = outline_errors(view, self.target, self.weights, noise, self.kind.hard)
-            self._errors[:] = [(view, found)]
-        return self._errors[0][1]
-
-    def variance(self, view: View) -> float:
-        """Return by what, times two, squares at two cameras differ for each standard error between
-        them: a residual's variance, larger where neighbours err together."""
-        variance, errors = max(self.kind.variance, view.touched_misfit), self.errors(view)
-        if errors is None:
-            return variance
-        if is_drawn(errors):  # what lies beside the outline is of these errors, too
-            return view.squares / errors.independent
-        return variance * max(float(view.sums.touched) / errors.independent, 1.0)
-
-    def design(self, view: View) -> float:
-        """The design effect: by how much a mask's errors enlarge the variance that independent
-        residuals would leave, averaged over determined directions."""
-        errors, triangle = self.errors(view), np.asarray(view.triangle, float)
-        if errors is None or not np.any(triangle):
-            return 1.0
-        inverse = np.linalg.pinv(triangle)
-        spread = np.trace(inverse.T @ errors.gradient @ inverse) / np.linalg.matrix_rank(triangle)
-        return errors.computed + float(spread) / max(view.touched_misfit, self.kind.least)
+    @property
+    def counted(self) -> float:
+        """The number of the finest level's pixels that have weight."""
+        return self._levels.counted
 
     def look(self, camera: Camera, level: int = -1) -> View:
         """The view at a camera, on a level (the last)."""

@@ -13,21 +13,19 @@ import numpy as np
 from .._mask.edges import Weights, counted, total, within
 from .._mask.pyramid import LEAST_CELLS, Level, Pyramid, pyramid
 from .._mask.target import Window
-from .kinds import Kind
 
-#: A pixel of the outline is off if its residual is this many standard deviations of the kind's.
-OFF_TIMES = 3.0
 #: Pyramids of more cells than this (200 MB in float32) are not kept beside the last one.
 KEPT_CELLS = 2**23
 
 
 class LevelsKey(NamedTuple):
-    """What the levels of a mask depend on: the mask (H, W) and how much its pixels count, its kind,
-    the window that is looked at, and whether the finest level is all that is asked for."""
+    """What the levels of a mask depend on: the mask (H, W) and how much its pixels count, the
+    residual that its kind explains, if that says so, the window that is looked at, and whether the
+    finest level is all that is asked for."""
 
     target: np.ndarray
     weights: Weights
-    kind: Kind
+    explained: float | None
     window: Window
     only_finest: bool
 
@@ -82,18 +80,12 @@ class Store:
 
 
 def _made(key: LevelsKey, cells: int, dtype: Any) -> Levels:
-    image, weights, kind, window, only_finest = key
+    image, weights, explained, window, only_finest = key
     host, levels = pyramid(
         image, weights, dtype, window=window, least=cells, only_finest=only_finest
     )
     seen = within(weights, levels[-1].window())
     beside = total(weights) - total(seen)
-    return Levels(jax.device_put(host), explained_by(kind, levels, dtype), beside, counted(seen))
-
-
-def explained_by(kind: Kind, levels: list[Level], dtype: Any) -> list[Level]:
-    """Levels that know what residual a mask's kind explains, where it says so."""
-    if not kind.exact:
-        return levels
-    explained = np.asarray(OFF_TIMES * kind.variance**0.5, dtype)
-    return [level._replace(explained=explained) for level in levels]
+    if explained is not None:
+        levels = [x._replace(explained=np.asarray(explained, dtype)) for x in levels]
+    return Levels(jax.device_put(host), levels, beside, counted(seen))

@@ -9,10 +9,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._mask.edges import EdgeBand, alike, beside, counted, edge_band, looked_up
-from .._mask.target import as_coverage, inside_of
-from .problem import FINE_PX
+from .edges import EdgeBand, alike, beside, counted, edge_band, looked_up
+from .target import as_coverage, inside_of
 
+#: What of coverage is not resolved in a float type: a fit's last step leaves this much, and a sum
+#: along a row of a fine mesh's mask is 1 to within it.
+RESOLVED = {np.dtype(np.float32): 3e-4, np.dtype(np.float64): 1e-7}
 #: Quantisation leaves a step's square times this; samples at random leave half a step, times the
 #: mean of c (1 - c).
 UNIFORM, SAMPLED = 1 / 12, 1 / 6
@@ -40,6 +42,8 @@ UNEVEN = 8.0
 TIMES = 4.0
 #: ... and of a mask that says nothing exact, as much as a hard edge may (1/12 on average).
 HARD = 0.1
+#: A pixel of an exact mask is off if its residual is this many standard deviations.
+OFF_TIMES = 3.0
 
 
 class Kind(NamedTuple):
@@ -70,6 +74,11 @@ class Kind(NamedTuple):
     def hard(self) -> bool:
         """True if every pixel is 0 or 1."""
         return self.name == "one bit"
+
+    @property
+    def explained(self) -> float | None:
+        """The largest residual of a pixel that is not off; None if the kind does not say."""
+        return OFF_TIMES * self.variance**0.5 if self.exact else None
 
     def explains(self, misfit: float, nearly_free: bool) -> bool:
         """True if a right camera may leave this mean square residual of an outline pixel;
@@ -117,7 +126,7 @@ def kind_of(target: np.ndarray, weights: np.ndarray, dtype: Any) -> Kind:
     # not to make a computed mask a noisy one.
     computed = target.dtype if np.issubdtype(target.dtype, np.floating) else dtype
     single = min(np.dtype(x).itemsize for x in (dtype, computed)) < 8
-    quiet = FINE_PX[np.dtype(np.float32 if single else np.float64)]
+    quiet = RESOLVED[np.dtype(np.float32 if single else np.float64)]
     noise, far, even, spread = _noise_far_from_edges(target, weights, some, quiet)
     threshold = max(4 * noise, 1e-3)
     between = some.where(
@@ -131,7 +140,7 @@ def kind_of(target: np.ndarray, weights: np.ndarray, dtype: Any) -> Kind:
         rounding = max(rounding, float(np.finfo(target.dtype).eps))
     variance, step = _quantisation(between.value)
     least = scale * max(rounding**2, UNIFORM * step**2)
-    variance = scale * max(variance, rounding**2, FINE_PX[np.dtype(dtype)] ** 2)
+    variance = scale * max(variance, rounding**2, RESOLVED[np.dtype(dtype)] ** 2)
     if count and np.mean(_shorter_run(between) > 2) > WIDE_SHARE:
         width = _edge_width(target, between)
         left = (max(PER_WIDTH * (width - SHARP_WIDTH), LEAST_WIDE) + noise**2) * scale
@@ -142,7 +151,7 @@ def kind_of(target: np.ndarray, weights: np.ndarray, dtype: Any) -> Kind:
         return Kind("noisy", variance, most, least, even, far, spread)
     # A renderer's 8 bits: some hundred samples a pixel, or its filter.
     most = TIMES * (SAMPLED / 1024 * scale if step == 1 / 255 else variance)
-    indistinct = max(least, scale * FINE_PX[np.dtype(dtype)] ** 2)
+    indistinct = max(least, scale * RESOLVED[np.dtype(dtype)] ** 2)
     return Kind("soft", variance, most, least, True, alike=indistinct)
 
 

@@ -9,7 +9,7 @@ from .._mask.edges import Weights, weights_at
 from .._mask.pyramid import Level
 from .._mask.target import Window, as_coverage
 from .._native.look import TouchedPixels
-from .looks import HIDDEN, View
+from .._solver.looks import HIDDEN, View
 
 #: About this many stretches. (On 90 masks that err over 2 to 30 px, of three shapes, 95 % intervals
 #: held 94 % of the truths with 48 or 60 stretches, 91 % with 80 or 100.)

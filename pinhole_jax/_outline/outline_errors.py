@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._mask.edges import Weights
-from .looks import View
+from .._solver.looks import View
 from .stretches import Stretches, stretches_of
 
 #: Sizes (px) and lengths (px) of errors, and the share of their variance that is each stretch's

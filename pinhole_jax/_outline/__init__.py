@@ -1,0 +1,1 @@
+"""What errors a mask's outline has, as a view shows them."""
