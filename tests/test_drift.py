@@ -20,8 +20,7 @@ COVARIANCE = 1e-6 * MIX @ MIX.T
 def fit_at(camera, covariance=COVARIANCE, names=NAMES):
     n = len(names)
     covariance = covariance[:n, :n]
-    std = np.sqrt(np.diagonal(covariance))
-    return pj.Fit(camera, "converged", names, covariance, std, 0.0, 1.0, (1,), ())
+    return pj.Fit(camera, "converged", names, covariance, 0.0, 1.0, (1,))
 
 
 def moved(turn=(0, 0, 0), shift=(0, 0, 0)):

@@ -27,8 +27,7 @@ def known_by(sigma_px, names=NAMES, times=1.0):
 
 
 def fit_at(camera, covariance, names=NAMES, status="converged"):
-    std = np.sqrt(np.diagonal(covariance))
-    return pj.Fit(camera, status, names, covariance, std, 0.0, 1.0, (1,), ())
+    return pj.Fit(camera, status, names, covariance, 0.0, 1.0, (1,))
 
 
 def drawn(random, covariance, names=NAMES, told=1.0):
@@ -146,7 +145,7 @@ def test_objects_of_halves_are_compared_about_their_middle():
         pose = exponential(sigma * random.normal(size=6))
         pose[:3, 3] += middle - pose[:3, :3] @ middle
         placed = {"part": ObjectFit(pose, covariance)}
-        return pj.JointFit("converged", {}, placed, (), 1.0, (), (), (), {})
+        return pj.JointFit("converged", {}, placed, (), 1.0, (), {})
 
     checks = [pj.split_check(joint, (0, 1)) for _ in range(200)]
     assert np.sqrt(np.mean([check.rms**2 for check in checks])) == pytest.approx(1, abs=0.06)

@@ -27,9 +27,8 @@ def parsed(text):
 def a_fit(status="converged", weak=(), modes=(), history=(), std=(1e-3, 2e-3, np.inf)):
     names = ("rotation_b1", "e_x", "phi")
     covariance = np.diag(np.square(std))
-    return pj.Fit(
-        CAMERA, status, names, covariance, np.array(std), 0.01, 0.99, (3,), weak, modes, history
-    )
+    known = {"weak": weak, "modes": modes, "history": history}
+    return pj.Fit(CAMERA, status, names, covariance, 0.01, 0.99, (3,), **known)
 
 
 def circles(tree):

@@ -87,9 +87,8 @@ FOCAL = 40 / np.tan(0.3)
 
 def fit_of(camera, names, std, history=()):
     """Return a fit as if it had found this camera, with independent errors."""
-    std = np.array(std)
-    covariance = np.diag(std**2)
-    return pj.Fit(camera, "converged", names, covariance, std, 0.0, 1.0, (), (), (), history)
+    covariance = np.diag(np.square(std))
+    return pj.Fit(camera, "converged", names, covariance, 0.0, 1.0, (), history=history)
 
 
 @pytest.mark.long

@@ -14,8 +14,7 @@ NAMES = ("rotation_b1", "rotation_b2", "rotation_v", "e_x", "e_y", "e_z", "phi")
 
 
 def fit_at(names, covariance):
-    std = np.sqrt(np.diagonal(covariance))
-    return pj.Fit(CAMERA, "converged", names, covariance, std, 0.0, 1.0, (1,), ())
+    return pj.Fit(CAMERA, "converged", names, covariance, 0.0, 1.0, (1,))
 
 
 def test_roll_shows_by_the_distance_from_the_middle():

@@ -1,8 +1,10 @@
-"""What a fit found, as a user reads it: `Fit`, its status, covariance and words."""
+"""The result of a fit as a user reads it: what all have in common, and `Fit`."""
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple, TypeVar
+from collections.abc import Mapping, Sequence
+from dataclasses import KW_ONLY, replace
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
+import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Float
@@ -19,7 +21,7 @@ from .._solver.problem import COSINE, FINE_PX, UNIT_PX
 from .._solver.solver import Solution, Stop
 from .._solver.uncertainty import BLIND, covariance, in_words, weak_directions, weak_moves
 from .places import Free
-from .words import ParameterTable, notes, parameter_table, table
+from .words import STATUSES, ParameterTable, accuracy, parameter_lines, parameter_table
 
 #: Below this intersection over union a fit has found something else than the object.
 LEAST_IOU = 0.5
@@ -38,7 +40,8 @@ KNOWN_PX = 0.01
 UNCERTAIN = np.deg2rad(4)
 
 
-AnyFit = TypeVar("AnyFit", bound=Any)
+AnyRecord = TypeVar("AnyRecord", bound="Record")
+AnyFit = TypeVar("AnyFit", bound="Result")
 
 
 class MaskError(NamedTuple):
@@ -48,8 +51,13 @@ class MaskError(NamedTuple):
     px: float
     over_px: float
 
+    @classmethod
+    def from_outline(cls, errors: OutlineErrors | None) -> "MaskError | None":
+        """The error of a mask's outline; None where it is exact, and explained."""
+        return None if errors is None else cls(errors.size, errors.length)
+
     def __str__(self) -> str:
-        """Return it as a sentence."""
+        """The error as a sentence."""
         if not self.px:
             return "no more than quantisation leaves"
         return f"{self.px:.1f} px, over some {self.over_px:.0f} px of the outline"
@@ -80,7 +88,113 @@ def check_fit(fit: Any) -> None:
         raise ValueError(f"`fit`: expected a Fit, got {type(fit).__name__}")
 
 
-class Fit(NamedTuple):
+class Record(eqx.Module):
+    """A part of a result; `_replace` makes one with other values, as a named tuple's does."""
+
+    def _replace(self: AnyRecord, **changes: Any) -> AnyRecord:
+        return replace(self, **changes)
+
+
+class Measurement(Record):
+    """Numbers whose errors are known by their `covariance` (n, n)."""
+
+    covariance: eqx.AbstractVar[Float[np.ndarray, "n n"]]
+
+    @property
+    def std(self) -> Float[np.ndarray, "n"]:
+        """Standard deviations (n,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+class Result(Record):
+    """What every fit returns: `status`, `weak` (sentences), and other answers (`modes`)."""
+
+    status: eqx.AbstractVar[str]
+    _: KW_ONLY
+    weak: tuple[str, ...] = ()
+    modes: tuple[Any, ...] = ()
+
+    #: What a fit was made to.
+    data: ClassVar[str] = "the mask"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What else there is to say, as sentences: `weak`, and how many `modes` there are.
+
+        ```python
+        print(*fit.notes, sep="\\n")
+        ```
+        """
+        if not self.modes:
+            return self.weak
+        several = f"{len(self.modes)} other views fit"
+        views = "another view fits" if len(self.modes) == 1 else several
+        return (*self.weak, f"{views} {self.data} equally well")
+
+
+class CameraResult(Result, Measurement):
+    """A fitted `camera`, its parameters' `names`, their `covariance`, and the way to it."""
+
+    camera: Camera
+    status: str
+    names: tuple[str, ...]
+    covariance: Float[np.ndarray, "n n"]
+    _: KW_ONLY
+    history: tuple[Progress, ...] = ()
+
+    #: What each status means.
+    meanings: ClassVar[Mapping[str, str]] = {}
+
+    @property
+    def parameters(self) -> ParameterTable:
+        """The fitted parameters for people: `rows` of `name`, `value`, `std`, `unit` and `words`,
+        angles in degrees, the orientation as pitch, yaw and roll; and the rows' `covariance`.
+
+        ```python
+        [(row.name, row.value, row.std, row.unit) for row in fit.parameters.rows]
+        ```
+        """
+        return parameter_table(self)
+
+    def displaced(self, step: Input[ArrayLike, "n"]) -> Camera:
+        """The camera with `names` changed by a small step, in the units of `std`.
+
+        ```python
+        step = np.random.default_rng(0).multivariate_normal(0 * fit.std, fit.covariance)
+        fit.displaced(step)  # a camera as likely as this one
+        ```
+        """
+        return displaced(self.camera, self.names, np.asarray(step, float))
+
+    @property
+    def _agreement(self) -> tuple[str, str, str]:
+        """How well camera and data agree: a name, a value, and what else there is."""
+        raise NotImplementedError
+
+    def __str__(self) -> str:
+        """The result as a table; in a line where it is traced."""
+        if not is_concrete(*jax.tree.leaves(self.camera)):
+            return repr(self)
+        lines = [
+            ("status", self.status, self.meanings.get(self.status, "")),
+            ("accuracy", accuracy(self.names, self.covariance), ""),
+            self._agreement,
+            *(("note", words, "") for words in self.notes),
+        ]
+        shown = [
+            f"{name:<11}{value}" + (f"   ({more})" if more else "")
+            for name, value, more in lines
+            if value
+        ]
+        return "\n".join([*parameter_lines(self.parameters), *shown])
+
+    def __repr__(self) -> str:
+        """The result in a line, its arrays and history left out."""
+        what, (name, value, _) = type(self).__name__, self._agreement
+        return f"<{what}: {self.status}, {name} {value}, {', '.join(self.names)}>"
+
+
+class Fit(CameraResult):
     """The result of `fit_camera`.
 
     - `camera`: the fitted camera; it has the start's gauge (`|p-e|`, `|u|`, `u.v`).
@@ -116,65 +230,26 @@ class Fit(NamedTuple):
     ```
     """
 
-    camera: Camera
-    status: str
-    names: tuple[str, ...]
-    covariance: Float[np.ndarray, "n n"]
-    std: Float[np.ndarray, "n"]
     rms: float
     iou: float
     steps: tuple[int, ...]
-    weak: tuple[str, ...]
+    _: KW_ONLY
     modes: tuple["Fit", ...] = ()
-    history: tuple[Progress, ...] = ()
     independent_covariance: Float[np.ndarray, "n n"] | None = None
     mask_error: MaskError | None = None
     unbelieved: Float[np.ndarray, "m 2"] | None = None
 
-    @property
-    def parameters(self) -> ParameterTable:
-        """The fitted parameters for people: `rows` of `name`, `value`, `std`, `unit` and `words`,
-        angles in degrees, the orientation as pitch, yaw and roll; and the rows' `covariance`.
-
-        ```python
-        [(row.name, row.value, row.std, row.unit) for row in fit.parameters.rows]
-        ```
-        """
-        return parameter_table(self)
+    meanings: ClassVar[Mapping[str, str]] = STATUSES
 
     @property
-    def notes(self) -> tuple[str, ...]:
-        """What else there is to say, as sentences: `weak`, and how many `modes` there are.
-
-        ```python
-        print(*fit.notes, sep="\\n")
-        ```
-        """
-        return tuple(notes(self))
-
-    def displaced(self, step: Input[ArrayLike, "n"]) -> Camera:
-        """Return the camera with `names` changed by a small step, in the units of `std`.
-
-        ```python
-        step = np.random.default_rng(0).multivariate_normal(0 * fit.std, fit.covariance)
-        fit.displaced(step)  # a camera as likely as this one
-        ```
-        """
-        return displaced(self.camera, self.names, np.asarray(step, float))
-
-    def __str__(self) -> str:
-        """Return it as the command's table; what is traced in a line."""
-        return table(self) if is_concrete(*jax.tree.leaves(self.camera)) else repr(self)
+    def _agreement(self) -> tuple[str, str, str]:
+        return "IoU", f"{self.iou:.4f}", f"rms of coverage {self.rms:.2g}"
 
     def _repr_html_(self) -> str | None:
-        """Return it as notebooks show it: its table, and its camera in space."""
+        """The fit as notebooks show it: its table, and its camera in space."""
         from ..show.table import fit_card
 
         return fit_card(self) if is_concrete(*jax.tree.leaves(self.camera)) else None
-
-    def __repr__(self) -> str:
-        """Return it in a line, its arrays and history left out."""
-        return f"<Fit: {self.status}, IoU {self.iou:.4f}, {', '.join(self.names)}>"
 
 
 def progress_at(stop: Stop, camera: Camera) -> Progress:
@@ -220,7 +295,8 @@ def report(
     if not (np.all(np.isfinite(triangle)) and np.isfinite(sums.squares)):
         empty = np.full((n, n), np.nan)
         nan = float("nan")
-        return Fit(fitted, "non_finite", labels, empty, np.diag(empty), nan, nan, steps, ())
+        known = {"names": labels, "covariance": empty, "steps": steps}
+        return Fit(camera=fitted, status="non_finite", rms=nan, iou=nan, **known)
     rest = at_rest(triangle, along, sums.squares, sums.touched, dtype, found.ended)
     triangle = without_free(triangle, context.free)
     noise = sums.touched_squares / max(sums.touched - n, 1)
@@ -237,33 +313,28 @@ def report(
     moves = [f.move for f in free] + well_known(triangle, both[1])
     blind, weak = weak_directions(triangle, names_of_moves, axes_of(at), BLIND[dtype], moves)
     weak = (*map(str, free), *weak, *ended)
-    turn, about = widest_turn(cov, labels)
-    wide_open = bool(turn > UNCERTAIN)
-    if wide_open:
-        axis, degrees = in_words(about @ axes_of(at)), np.rad2deg(turn)
-        weak += (f"rotation about the axis {axis} is uncertain by {degrees:.0f} degrees (1 sigma)",)
+    open_turn = uncertain_rotation(cov, labels, at)
     nearly_free = bool(context.free or weak_moves(triangle, names_of_moves))
     astray = context.share_astray(sums, whole)
     explained = context.kind.explains(view.touched_misfit, nearly_free)
-    weak += _disagreement(sums, astray, context.kind.exact and not explained)
+    weak += (*open_turn, *_disagreement(sums, astray, context.kind.exact and not explained))
     explained = astray <= ASTRAY and (explained or not context.kind.exact)
     status = _status(triangle, rest, whole, context.hidden, explained, bool(blind or free))
-    if status == "converged" and wide_open:
+    if status == "converged" and open_turn:
         status = "uncertain"
-    errors = context.errors
+    iou, rms = iou_and_rms([over_all])
     return Fit(
         camera=fitted,
         status=status,
         names=labels,
         covariance=cov,
-        std=np.sqrt(np.diag(cov)),
-        rms=float(np.sqrt(whole.squares / whole.weight)),
-        iou=whole.overlap / whole.union if whole.union > 0 else 0.0,
+        rms=rms,
+        iou=iou,
         steps=steps,
         weak=weak,
         history=tuple(progress_at(stop, camera) for stop in way),
         independent_covariance=independent,
-        mask_error=None if errors is None else MaskError(errors.size, errors.length),
+        mask_error=MaskError.from_outline(context.errors),
     )
 
 
@@ -296,14 +367,33 @@ def gradients(view: View, variance: float, context: Context) -> tuple[np.ndarray
     return independent, share * independent + (1 - share) * beside + errors.gradient
 
 
-def widest_turn(covariance: np.ndarray, labels: tuple[str, ...]) -> tuple[float, np.ndarray]:
-    """Return the largest standard error (rad) of a small turn, 0 where none is free or none is
-    finite, and the axis (3,) of that turn in the camera's axes."""
+def uncertain_rotation(
+    covariance: np.ndarray,
+    labels: tuple[str, ...],
+    camera: Camera,
+    limit: float = UNCERTAIN,
+    more: str = "",
+) -> tuple[str, ...]:
+    """A sentence on the turn that is known worst, and `more`, if its standard error is above a
+    limit (rad); none where it is not, no turn is free, or one is not determined."""
     turns = np.flatnonzero([label.startswith("rotation") for label in labels])
     if not (turns.size and np.all(np.isfinite(part := covariance[np.ix_(turns, turns)]))):
-        return 0.0, np.zeros(3)
+        return ()
     values, vectors = np.linalg.eigh(part)
-    return float(np.sqrt(max(values[-1], 0.0))), vectors[:, -1]
+    if not (sigma := float(np.sqrt(max(values[-1], 0.0)))) > limit:
+        return ()
+    axis, degrees = in_words(vectors[:, -1] @ axes_of(camera)), np.rad2deg(sigma)
+    return (
+        f"rotation about the axis {axis} is uncertain by {degrees:.1f} degrees (1 sigma){more}",
+    )
+
+
+def iou_and_rms(masks: Sequence[Sums]) -> tuple[float, float]:
+    """Intersection over union, and root mean square of coverage minus target, of masks together."""
+    total = lambda name: sum(float(getattr(mask, name)) for mask in masks)
+    union, weight = total("union"), total("weight")
+    iou = total("overlap") / union if union > 0 else 0.0
+    return iou, (total("squares") / weight) ** 0.5 if weight > 0 else float("nan")
 
 
 def with_modes(fit: AnyFit, modes: Sequence[AnyFit]) -> AnyFit:
@@ -367,7 +457,12 @@ def without_ended(
     ended = () if bounds is None else bounds.ended(camera)
     moves = [PARAMETERS[label].components[0].name for label in ended]
     result[:, [components(freed).index(move) for move in moves]] = 0
-    return result, tuple(f"{label} is held at an end of its bounds" for label in ended)
+    return result, held_words(ended)
+
+
+def held_words(labels: Sequence[str]) -> tuple[str, ...]:
+    """A sentence on each parameter that is held."""
+    return tuple(f"{label} is held at an end of its bounds" for label in labels)
 
 
 def to_units(derivative: Any, freed: tuple[str, ...], camera: Camera) -> np.ndarray:

@@ -1,6 +1,7 @@
 """A fit as text: its parameters with their standard errors, as a table."""
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -81,10 +82,10 @@ def parameter_table(fit: Any) -> ParameterTable:
     return ParameterTable(rows, covariance)
 
 
-def parameter_lines(fit: Any) -> list[str]:
-    """Return the lines of a table: parameter, value, one sigma, unit, what it is."""
+def parameter_lines(table: ParameterTable) -> list[str]:
+    """The lines of a table: parameter, value, one sigma, unit, description."""
     lines = [f"{'parameter':<16}{'value':>16}{'one sigma':>14}  unit"]
-    for row in parameter_table(fit).rows:
+    for row in table.rows:
         value = in_digits(row.value, row.std)
         lines.append(
             f"{row.name:<16}{value:>16}{row.std:>14.2g}  {row.unit:<6} {row.words}".rstrip()
@@ -92,37 +93,18 @@ def parameter_lines(fit: Any) -> list[str]:
     return lines
 
 
-def table(fit: Any) -> str:
-    """Return a fit as a short table: its parameters; status, IoU, what is weak."""
-    lines = parameter_lines(fit)
-    lines.append(f"status     {fit.status}   ({STATUSES[fit.status]})")
-    lines += [f"accuracy   {words}" for words in [accuracy(fit)] if words]
-    lines.append(f"IoU        {fit.iou:.4f}   (rms of coverage {fit.rms:.2g})")
-    lines += [f"note       {words}" for words in notes(fit)]
-    return "\n".join(lines)
-
-
-def accuracy(fit: Any) -> str:
-    """Return the largest standard errors of turns and of places as a sentence, "" where no pose was
+def accuracy(names: Sequence[str], covariance: np.ndarray) -> str:
+    """The largest standard errors of turns and of places as a sentence, "" where no pose was
     fitted or one is not determined."""
     sizes = []
     for known in (TURNS, PLACE):
-        own = [k for k, name in enumerate(fit.names) if name in known]
-        part = np.asarray(fit.covariance)[np.ix_(own, own)]
+        own = [k for k, name in enumerate(names) if name in known]
+        part = np.asarray(covariance)[np.ix_(own, own)]
         if not (own and np.all(np.isfinite(part))):
             return ""
         sizes.append(float(np.sqrt(max(np.linalg.eigvalsh(part)[-1], 0.0))))
     turn, place = np.rad2deg(sizes[0]), sizes[1]
     return f"rotation +-{turn:.2g} degrees, position +-{place:.2g} {UNIT} (1 sigma)"
-
-
-def notes(fit: Any) -> list[str]:
-    """The notes: weak directions, and other views that explain the mask."""
-    if not fit.modes:
-        return [*fit.weak]
-    several = f"{len(fit.modes)} other views fit"
-    views = "another view fits" if len(fit.modes) == 1 else several
-    return [*fit.weak, f"{views} the mask equally well"]
 
 
 def in_digits(value: float, std: float) -> str:

@@ -1,14 +1,15 @@
 """The result of a joint fit, as a user reads it."""
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from dataclasses import KW_ONLY
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from .._camera.camera import Camera
 from .._camera.poses import Pose
-from .._fit.result import Fit, MaskError
+from .._fit.result import Fit, MaskError, Measurement, Record, Result
 from .._fit.words import UNIT, Estimate
 from .._scene.scene import Scene
 
@@ -40,7 +41,7 @@ class ViewFit(NamedTuple):
     worth: float
 
 
-class JointZeros(NamedTuple):
+class JointZeros(Measurement):
     """Corrections to add to joints' readings, by `names`, and their covariance (n, n).
 
     `units` are "rad" for a joint that turns, "world" for one that slides, "scale" for a body that
@@ -53,20 +54,15 @@ class JointZeros(NamedTuple):
     covariance: Float[np.ndarray, "n n"]
 
     @property
-    def std(self) -> Float[np.ndarray, "n"]:
-        """Standard deviations."""
-        return np.sqrt(np.diag(self.covariance))
-
-    @property
     def rows(self) -> list[Estimate]:
         """The zeros for people, angles in degrees."""
-        rows = zip(self.names, self.values, self.std, self.units, strict=True)
-        factors = {"rad": (180 / np.pi, "deg")}
-        result = []
-        for name, value, std, own in rows:
-            times, unit = factors.get(own, (1.0, own))
-            result.append(Estimate(name, times * value, times * std, unit, ""))
-        return result
+        units = {"rad": (180 / np.pi, "deg")}
+        each = zip(self.names, self.values, self.std, self.units, strict=True)
+        return [
+            Estimate(name, times * value, times * std, unit, "")
+            for name, value, std, known in each
+            for times, unit in [units.get(known, (1.0, known))]
+        ]
 
     def __str__(self) -> str:
         """The zeros as a table."""
@@ -76,7 +72,7 @@ class JointZeros(NamedTuple):
         return "\n".join(lines)
 
 
-class ObjectFit(NamedTuple):
+class ObjectFit(Measurement):
     """An object's `pose` in the world (4, 4), and its `covariance` (6, 6).
 
     The covariance is of a small rotation about the object's own axes x, y, z (rad), then of its
@@ -86,13 +82,8 @@ class ObjectFit(NamedTuple):
     pose: Pose
     covariance: Float[np.ndarray, "6 6"]
 
-    @property
-    def std(self) -> Float[np.ndarray, "6"]:
-        """Standard deviations."""
-        return np.sqrt(np.diag(self.covariance))
 
-
-class SceneScale(NamedTuple):
+class SceneScale(Record):
     """The factor by which a scene is larger than its mesh: `value`, standard deviation `std`.
 
     `across` has its covariances (k,) with the pose of each unknown camera and object, by name.
@@ -103,7 +94,7 @@ class SceneScale(NamedTuple):
     across: Mapping[str, Float[np.ndarray, "k"]]
 
 
-class JointFit(NamedTuple):
+class JointFit(Result):
     """The result of `fit_joint`.
 
     - `status`: as in `Fit`; trust the answer only where it is "converged".
@@ -129,11 +120,13 @@ class JointFit(NamedTuple):
     objects: Mapping[str, ObjectFit]
     views: tuple[ViewFit, ...]
     excess: float
-    weak: tuple[str, ...]
-    modes: tuple["JointFit", ...]
     steps: tuple[int, ...]
     scales: Mapping[str, SceneScale]
     joint_zeros: JointZeros | None = None
+    _: KW_ONLY
+    modes: tuple["JointFit", ...] = ()
+
+    data: ClassVar[str] = "the masks"
 
     @property
     def camera(self) -> Camera:
@@ -146,7 +139,7 @@ class JointFit(NamedTuple):
     def __str__(self) -> str:
         """The fit as tables."""
         lines = [f"{self.status}: {len(self.views)} views"]
-        lines += [f"  {words}" for words in self.weak]
+        lines += [f"  {words}" for words in self.notes]
         for name, fit in self.cameras.items():
             lines += [f"{name}:", str(fit)]
         for name, found in self.objects.items():

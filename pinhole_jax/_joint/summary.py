@@ -5,26 +5,24 @@ from typing import Any
 
 import numpy as np
 
-from .._camera.axes import axes_of
 from .._camera.camera import Camera
 from .._camera.poses import at_pose
 from .._fit.places import Free, transported
 from .._fit.result import (
     ASTRAY,
     LEAST_IOU,
-    UNCERTAIN,
     WRONG,
     Fit,
     MaskError,
     Progress,
+    held_words,
+    iou_and_rms,
     progress_at,
+    uncertain_rotation,
     widened,
-    widest_turn,
 )
-from .._solver.looks import Sums
 from .._solver.moves import on_film
 from .._solver.solver import Solution, Stop
-from .._solver.uncertainty import in_words
 from ..names import STATUSES
 from .agreement import Agreement
 from .estimates import (
@@ -63,7 +61,8 @@ def report(end: Outcome, free: Mapping[str, Sequence[Free]]) -> JointFit:
     }
     objects = {
         name: ObjectFit(
-            state.poses[name], found.covariance_of(object_estimates(problem, name, state))
+            pose=state.poses[name],
+            covariance=found.covariance_of(object_estimates(problem, name, state)),
         )
         for name in problem.objects()
     }
@@ -80,7 +79,6 @@ def report(end: Outcome, free: Mapping[str, Sequence[Free]]) -> JointFit:
         views=views,
         excess=found.excess,
         weak=(*_weak_scales(scales), *open_still, *_disagreement(found, views), *end.notes),
-        modes=(),
         steps=end.path.steps,
         scales=scales,
         joint_zeros=_zeros(found),
@@ -94,29 +92,20 @@ def worst(statuses: Sequence[str]) -> str:
 
 def _view_fit(end: Outcome, k: int) -> ViewFit:
     problem, found = end.problem, end.found
-    eye, state, errors = problem.eyes[k], found.descent.state, found.errors[k]
+    eye, state = problem.eyes[k], found.descent.state
+    iou, rms = iou_and_rms([end.whole[k]])
     return ViewFit(
         camera=on_film(eye.canonical(state), problem.cameras[eye.shot.camera]),
-        iou=_iou([end.whole[k]]),
-        rms=_rms([end.whole[k]]),
+        iou=iou,
+        rms=rms,
         off=float(found.off[k]),
         weight=float(found.problem.weights[k]),
         astray=end.astray[k],
-        mask_error=None if errors is None else MaskError(errors.size, errors.length),
+        mask_error=MaskError.from_outline(found.errors[k]),
         scene=eye.solver_at(state).subject.given,
         sigma=float(found.sigma[k]),
         worth=_worth(found, k),
     )
-
-
-def _iou(masks: Sequence[Sums]) -> float:
-    overlap, union = (sum(float(getattr(m, x)) for m in masks) for x in ("overlap", "union"))
-    return overlap / union if union > 0 else 0.0
-
-
-def _rms(masks: Sequence[Sums]) -> float:
-    squares, weight = (sum(float(getattr(m, x)) for m in masks) for x in ("squares", "weight"))
-    return (squares / weight) ** 0.5 if weight > 0 else float("nan")
 
 
 def _worth(found: Agreement, k: int) -> float:
@@ -148,18 +137,16 @@ def _camera_fit(end: Outcome, name: str, views: tuple[ViewFit, ...], free: Seque
     free = [transported(eye.solver, Solution(eye.canonical(state), seen.view, ()), f) for f in free]
     if free:
         _widen(covariance, found, numbers[0], estimates, free)
-    masks, errors = [end.whole[k] for k in numbers], [views[k].mask_error for k in numbers]
-    known = [error for error in errors if error is not None]
+    iou, rms = iou_and_rms([end.whole[k] for k in numbers])
+    known = [error for k in numbers if (error := views[k].mask_error) is not None]
     fit = Fit(
         camera=camera,
         status="converged",
         names=estimates.labels,
         covariance=covariance,
-        std=np.sqrt(np.diag(covariance)),
-        rms=_rms(masks),
-        iou=_iou(masks),
+        rms=rms,
+        iou=iou,
         steps=end.path.steps,
-        weak=(),
         history=_history(end, numbers[0], seen_from, film),
         independent_covariance=found.independent_of(estimates),
         mask_error=max(known, key=lambda e: e.px) if known else None,
@@ -168,8 +155,7 @@ def _camera_fit(end: Outcome, name: str, views: tuple[ViewFit, ...], free: Seque
     if free:
         weak = (*map(str, free), *weak)
         status = "rank_deficient" if status == "converged" else status
-    ended = tuple(f"{label} is held at an end of its bounds" for label in eye.ended(state))
-    return fit._replace(status=status, weak=weak + ended)
+    return fit._replace(status=status, weak=weak + held_words(eye.ended(state)))
 
 
 def _widen(
@@ -220,12 +206,8 @@ def _status(
         return "misfit", (f"{far:.0%} of the outline is far from {edges}: {WRONG}",)
     if np.any(np.isinf(fit.std)):
         return "rank_deficient", ("some move changes no mask",)
-    turn, about = widest_turn(fit.covariance, fit.names)
-    if turn > UNCERTAIN:
-        axis, degrees = in_words(about @ axes_of(fit.camera)), np.rad2deg(turn)
-        words = f"rotation about the axis {axis} is uncertain by {degrees:.0f} degrees (1 sigma)"
-        return "uncertain", (words,)
-    return "converged", ()
+    open_turn = uncertain_rotation(fit.covariance, fit.names, fit.camera)
+    return "uncertain" if open_turn else "converged", open_turn
 
 
 def _is_compared(end: Outcome, k: int) -> bool:
@@ -271,9 +253,12 @@ def _zeros(found: Agreement) -> JointZeros | None:
     for posture in (eye.shot.posture for eye in problem.eyes):
         units |= {} if posture is None else dict(zip(posture.joints, posture.units, strict=True))
     estimates = concatenate([number_estimate(problem, name, ZERO, state) for name in names])
-    values = np.array([state.zeros[name] for name in names])
-    covariance = found.covariance(estimates.place)
-    return JointZeros(names, values, tuple(units[name] for name in names), covariance)
+    return JointZeros(
+        names=names,
+        values=np.array([state.zeros[name] for name in names]),
+        units=tuple(units[name] for name in names),
+        covariance=found.covariance(estimates.place),
+    )
 
 
 def _weak_scales(scales: dict[str, SceneScale]) -> list[str]:

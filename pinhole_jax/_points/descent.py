@@ -36,7 +36,6 @@ class Options(NamedTuple):
 class PointDescent(NamedTuple):
     """Views where the squares of all are least.
 
-    - `steps`: how many it took.
     - `others`: other places of each view that are as good, what is shared held.
     - `way`: the views at the start, and where each descent ended, with its steps.
     - `noise`: what the points err by; `limits`: by how much each view's may (rms, px).
@@ -44,7 +43,6 @@ class PointDescent(NamedTuple):
 
     problem: PointProblem
     views: list[PointView]
-    steps: int
     others: list[list[PointView]]
     way: list[tuple[list[PointView], int]]
     noise: Noise
@@ -76,8 +74,7 @@ def descend(
         way.append((views, steps))
     pairs = zip(places, views, strict=True)
     others = [[place for place in some if place is not view] for some, view in pairs]
-    steps = sum(steps for _, steps in way)
-    return PointDescent(problem, views, steps, others, way, noise, limits)
+    return PointDescent(problem, views, others, way, noise, limits)
 
 
 def _descend_together(

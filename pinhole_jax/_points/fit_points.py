@@ -1,11 +1,11 @@
 """`fit_points`: cameras from points whose places in the world are known (calibration, pose)."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from dataclasses import KW_ONLY
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from .._camera.axes import axes_of
 from .._camera.camera import Camera, check_camera
@@ -14,21 +14,21 @@ from .._fit.fit_camera import check_reach, check_steps
 from .._fit.implicit import check_plain, steps_of, through
 from .._fit.result import (
     UNCERTAIN,
+    CameraResult,
     Progress,
     at_rest,
     to_units,
-    widest_turn,
+    uncertain_rotation,
     with_modes,
     without_ended,
 )
-from .._fit.words import parameter_lines
 from .._joint.lenses import known_by_others, with_shared
 from .._numerics.arrays import ArrayLike, Input, checked, is_concrete
 from .._solver.least_squares import solve
 from .._solver.moves import on_film
 from .._solver.parameters import check_free, components, labels_of
 from .._solver.priors import Pair, bounds_of, prior_of
-from .._solver.uncertainty import BLIND, covariance, in_words, weak_directions
+from .._solver.uncertainty import BLIND, covariance, weak_directions
 from .descent import Options, PointDescent, descend
 from .noise import FEW, Noise, beyond_noise, coordinates
 from .reprojection import PointArrays, PointProblem, PointRows, PointView
@@ -43,7 +43,7 @@ FOUR_SIGMA, UNCERTAIN_OF_FEW = 4.0, np.deg2rad(1)
 WRONG = "are they the same points, in the right order, units and focal length?"
 
 
-class PointFit(NamedTuple):
+class PointFit(CameraResult):
     """The result of `fit_points` for one view.
 
     - `camera`: the fitted camera.
@@ -76,26 +76,20 @@ class PointFit(NamedTuple):
     ```
     """
 
-    camera: Camera
-    status: str
-    names: tuple[str, ...]
-    covariance: Float[np.ndarray, "n n"]
-    std: Float[np.ndarray, "n"]
     rms_px: float
-    steps: int
-    weak: tuple[str, ...]
+    _: KW_ONLY
     modes: tuple["PointFit", ...] = ()
-    history: tuple[Progress, ...] = ()
 
-    def __str__(self) -> str:
-        """Return it as a table."""
-        lines = [*parameter_lines(self), f"status     {self.status}"]
-        lines.append(f"rms        {self.rms_px:.3g} px")
-        return "\n".join([*lines, *(f"note       {weak}" for weak in self.weak)])
+    data: ClassVar[str] = "the points"
 
-    def __repr__(self) -> str:
-        """Return it in a line, its arrays left out."""
-        return f"<PointFit: {self.status}, rms {self.rms_px:.3g} px, {', '.join(self.names)}>"
+    @property
+    def steps(self) -> int:
+        """The number of Levenberg-Marquardt steps."""
+        return sum(stop.steps for stop in self.history)
+
+    @property
+    def _agreement(self) -> tuple[str, str, str]:
+        return "rms", f"{self.rms_px:.3g} px", ""
 
 
 def fit_points(
@@ -310,7 +304,7 @@ def _reports(found: PointDescent, given: list[PointArrays]) -> tuple[PointFit, .
             Progress(on_film(there[k].camera, view.film), view.film.W, view.film.H, steps)
             for there, steps in found.way
         )
-        fit = fit._replace(steps=found.steps, history=way, weak=(*fit.weak, *words))
+        fit = fit._replace(history=way, weak=(*fit.weak, *words))
         fits.append(with_modes(fit, modes))
     return tuple(fits)
 
@@ -375,8 +369,8 @@ def _report(
     labels, camera = labels_of(freed), on_film(view.camera, view.film)
     if not (np.isfinite(squares) and np.all(np.isfinite(triangle))):
         nothing = np.full((len(labels), len(labels)), np.nan)
-        nan = float("nan")
-        return PointFit(camera, "non_finite", labels, nothing, np.diag(nothing), nan, 0, ())
+        known = {"names": labels, "covariance": nothing, "rms_px": float("nan")}
+        return PointFit(camera=camera, status="non_finite", **known)
     blind, weak = weak_directions(triangle, components(freed), axes_of(camera), BLIND[dtype])
     reported = to_units(seen.to_reported, freed, camera)
     cov = covariance(triangle, reported, triangle.T @ triangle, BLIND[dtype])
@@ -395,8 +389,14 @@ def _report(
         status = "max_steps"
     if not float(seen.nearest) > 0:
         status = "behind"
-    std = np.sqrt(np.diag(cov))
-    return PointFit(camera, status, labels, cov, std, rms, 0, (*weak, *ended, *words))
+    return PointFit(
+        camera=camera,
+        status=status,
+        names=labels,
+        covariance=cov,
+        rms_px=rms,
+        weak=(*weak, *ended, *words),
+    )
 
 
 def _judge(
@@ -405,13 +405,9 @@ def _judge(
     """A status by the error bars alone, and words about them."""
     if not noise.freedom > 0:
         return "unchecked", ()
-    turn, about = widest_turn(cov, labels)
-    limit = UNCERTAIN if noise.at_most < FOUR_SIGMA else UNCERTAIN_OF_FEW
-    if not turn * noise.at_most > limit:
-        return "converged", ()
-    axis, degrees = in_words(about @ axes_of(camera)), np.rad2deg(turn)
-    words = f"rotation about the axis {axis} is uncertain by {degrees:.2g} degrees (1 sigma)"
+    limit, more = (UNCERTAIN if noise.at_most < FOUR_SIGMA else UNCERTAIN_OF_FEW), ""
     if noise.freedom <= FEW:
         spare = f"{noise.freedom:.0f} coordinate{'s' * (noise.freedom > 1)}"
-        words += f", itself a guess from {spare} more than unknowns"
-    return "uncertain", (words,)
+        more = f", itself a guess from {spare} more than unknowns"
+    words = uncertain_rotation(cov, labels, camera, limit / noise.at_most, more)
+    return "uncertain" if words else "converged", words

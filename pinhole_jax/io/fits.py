@@ -169,7 +169,6 @@ def _fit(fields: Fields) -> Fit:
         status=status,
         names=names,
         covariance=covariance,
-        std=_std(rest.part("std"), names, covariance),
         rms=_number(rest, "rms"),
         iou=_number(rest, "iou"),
         steps=_counts(rest, "steps"),
@@ -191,13 +190,6 @@ def _camera(fields: Fields, dtype: np.dtype) -> Camera:
 def _progress(fields: Fields, dtype: np.dtype) -> Progress:
     counts = (fields.integer(name, least) for name, least in (("W", 1), ("H", 1), ("steps", 0)))
     return Progress(_camera(fields.part("camera"), dtype), *counts)
-
-
-def _std(fields: Fields, names: tuple[str, ...], covariance: np.ndarray) -> np.ndarray:
-    """Return the standard errors; null is NaN where the variance is, else infinity."""
-    std = np.array([_number(fields, name) for name in names])
-    unknown = np.where(np.isnan(np.diag(covariance)), np.nan, np.inf)
-    return np.where(np.isnan(std), unknown, std)
 
 
 def _counts(fields: Fields, name: str) -> tuple[int, ...]:
