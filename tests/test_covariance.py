@@ -1,21 +1,17 @@
 """Covariance as a matrix: the same in any frame, unit and file, and that of refits."""
 
-import sys
-from pathlib import Path
-
+import calibration
 import numpy as np
 import pytest
-from oracles import drawn, turned
+from numpy.testing import assert_allclose, assert_array_equal
+from oracles import drawn, turned, usual_camera
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
 from pinhole_jax import formats, io
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
-import calibration
-
-CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 64, 48)
+CAMERA = usual_camera(64, 48)
 OTHER = turned(CAMERA, [0, 1, 0.2], 60)
 MESH = pj.shapes.bumpy(2)
 POINTS = np.random.default_rng(0).uniform(-1, 1, (20, 3))
@@ -64,9 +60,7 @@ def points(world):
 
 def assert_alike(covariance, expected):
     std = np.sqrt(np.diag(expected))
-    np.testing.assert_allclose(
-        covariance / np.outer(std, std), expected / np.outer(std, std), atol=1e-4
-    )
+    assert_allclose(covariance / np.outer(std, std), expected / np.outer(std, std), atol=1e-4)
 
 
 @pytest.mark.parametrize("world", WORLDS)
@@ -98,7 +92,7 @@ def test_start_of_any_convention_gives_the_same_covariance(tmp_path, name):
     fit, other = (pj.fit_camera(scene, mask, c, ("pose", "phi")) for c in (CAMERA, start))
     assert_alike(other.covariance, fit.covariance)
     io.save_fit(tmp_path / "fit.json", other)
-    np.testing.assert_array_equal(io.load_fit(tmp_path / "fit.json").covariance, other.covariance)
+    assert_array_equal(io.load_fit(tmp_path / "fit.json").covariance, other.covariance)
 
 
 @pytest.mark.long
@@ -128,7 +122,7 @@ def test_truth_a_small_step_away_is_off_by_that_step():
     fit = one_view(HERE)
     step = 1e-3 * np.random.default_rng(3).normal(size=len(fit.names)) * fit.std
     truth = fit.displaced(step)
-    np.testing.assert_allclose(calibration.off_by(fit, truth), step, rtol=1e-4)
+    assert_allclose(calibration.off_by(fit, truth), step, rtol=1e-4)
     values = calibration.used(pj.Scene(mesh=MESH), truth, np.random.default_rng(0))
     squared = calibration.ranks(fit, truth, values)["squared"]
-    np.testing.assert_allclose(squared, step @ np.linalg.solve(fit.covariance, step), rtol=1e-2)
+    assert_allclose(squared, step @ np.linalg.solve(fit.covariance, step), rtol=1e-2)

@@ -7,7 +7,7 @@ of pages that say `run: true` run while the site is built.
 
 import ast
 import functools
-import importlib.util
+import importlib
 import inspect
 import json
 import os
@@ -20,9 +20,11 @@ import tomllib
 from pathlib import Path
 from types import SimpleNamespace
 
+import figures
 import jax
 import numpy as np
 import pytest
+import trimesh
 from chosen import full, long
 from PIL import Image
 
@@ -196,9 +198,15 @@ def test_python_runs(page, capsys, another_cache, tmp_path, monkeypatch):
     FOUND.get(page, lambda names, printed: None)(names, capsys.readouterr().out)
 
 
+def check_fits(names, fits, most):
+    """Assert that these have converged, to at most so many degrees off."""
+    for name in fits:
+        assert names[name].status == "converged"
+        assert np.rad2deg(pj.pose_error(names[name].camera, names["truth"])[0]) < most
+
+
 def found_by_readme(names, printed):
-    assert names["fit"].status == "converged"
-    assert np.rad2deg(pj.pose_error(names["fit"].camera, names["truth"])[0]) < 1e-4
+    check_fits(names, ["fit"], 1e-4)
     assert "status     converged" in printed
 
 
@@ -210,15 +218,13 @@ def found_by_lenses(names, printed):
 
 def found_by_many_views(names, printed):
     assert [fit.status for fit in names["fits"]] == ["converged", "converged"]
-    assert names["joint"].status == "converged"
-    assert np.rad2deg(pj.pose_error(names["joint"].camera, names["truth"])[0]) < 1e-4
+    check_fits(names, ["joint"], 1e-4)
     assert abs(names["sized"].scales["part"].value - 1.1) < 1e-4
 
 
 def found_by_masks(names, printed):
-    assert names["fit"].status == "converged"
-    for name, most in (("fit", 1.5), ("bent", 3)):
-        assert np.rad2deg(pj.pose_error(names[name].camera, names["truth"])[0]) < most
+    check_fits(names, ["fit"], 1.5)
+    assert np.rad2deg(pj.pose_error(names["bent"].camera, names["truth"])[0]) < 3
 
 
 def found_by_sam_masks(names, printed):
@@ -238,10 +244,7 @@ def found_by_a_focal_prior(names, printed):
 
 
 def found_by_questions(names, printed):
-    for name in ("fit", "found", "held", "known_to_1_percent"):
-        assert names[name].status == "converged"
-        angle, _ = pj.pose_error(names[name].camera, names["truth"])
-        assert np.rad2deg(angle) < 0.5
+    check_fits(names, ["fit", "found", "held", "known_to_1_percent"], 0.5)
     assert names["masks"].shape == (2, 80, 96)
     assert len(names["pair"].faces) == 2 * len(names["scene"].mesh.faces)
 
@@ -258,16 +261,6 @@ FOUND = {
 }
 
 
-def write_mesh(path):
-    mesh = shapes.bumpy()
-    corners = "\n".join(" ".join(map(str, v)) for v in np.asarray(mesh.vertices).tolist())
-    faces = "\n".join("3 " + " ".join(map(str, f)) for f in np.asarray(mesh.faces).tolist())
-    counts = f"element vertex {len(mesh.vertices)}\nproperty float x\nproperty float y\n"
-    counts += f"property float z\nelement face {len(mesh.faces)}\n"
-    header = f"ply\nformat ascii 1.0\n{counts}property list uchar int vertex_indices\nend_header\n"
-    path.write_text(f"{header}{corners}\n{faces}\n")
-
-
 def write_pictures(mask_path, photo_path, camera):
     """Write what the camera sees: a mask, and a photo before a white background."""
     coverage = np.asarray(pj.silhouette(camera, pj.Scene(mesh=shapes.bumpy())))[..., None]
@@ -282,7 +275,8 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     # What the command sets for its own process would change those of the other tests.
     monkeypatch.setattr(command, "_set_up_jax", lambda *_, **__: None)
-    write_mesh(tmp_path / FILES["MESH"])
+    mesh = shapes.bumpy()
+    trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(FILES["MESH"])
     camera = Camera([0.3, 1, 5], np.deg2rad(34.4))
     write_pictures(FILES["MASK"], FILES["PHOTO"], camera)
     io.save_camera("CAMERA.json", camera)
@@ -341,17 +335,10 @@ def test_site_builds_and_shows_its_results(tmp_path, pages):
         assert any(cell.get("outputs") for cell in cells), path
 
 
-def module_of_docs(name):
-    spec = importlib.util.spec_from_file_location(name, DOCS / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.fixture
 def hooks():
     pytest.importorskip("properdocs")
-    return module_of_docs("hooks")
+    return importlib.import_module("hooks")
 
 
 def test_page_shows_the_output_of_its_code(hooks, another_cache):
@@ -391,13 +378,13 @@ def test_links_lead_on_the_site_where_they_lead_in_the_repository(hooks, page, l
 
 @pytest.mark.parametrize("page", [page for page, text in TEXTS.items() if "<!-- fig" in text])
 def test_tables_of_figures_are_those_of_the_experiments(page):
-    assert module_of_docs("figures").filled(TEXTS[page]) == TEXTS[page]
+    assert figures.filled(TEXTS[page]) == TEXTS[page]
 
 
 def test_figure_of_a_table_is_the_rounded_number_of_the_json():
     text = (ROOT / "experiments" / "results" / "real_chessboards.json").read_text()
     wrong = "<!-- figures: instead -->\n\n| OpenCV |\n\nThen."
-    filled = module_of_docs("figures").filled(wrong)
+    filled = figures.filled(wrong)
     assert f"the same {json.loads(text)['fit_points']['rms_px']:.4f} px |\n\nThen." in filled
 
 

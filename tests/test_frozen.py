@@ -2,12 +2,9 @@
 
 import json
 import sys
-from pathlib import Path
 
-import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 import frozen
+import pytest
 
 LOWER = {"value": 2.0, "unit": "px", "direction": "lower", "tolerance": 0.1, "how": "-"}
 FIGURES = {
@@ -35,43 +32,32 @@ def gate(monkeypatch, tmp_path):
     return run
 
 
-@pytest.mark.parametrize(
-    "values", [{}, {"error": 2.1}, {"error": 1.0}, {"found": 97}, {"share": 0.97}, {"share": 0.93}]
-)
-def test_figures_within_tolerance_pass(gate, values, capsys):
-    assert gate(with_values(**values), "--gate") == 0
-    assert "Nothing is worse" in capsys.readouterr().out
+NOT_WORSE = {}, {"error": 2.1}, {"error": 1.0}, {"found": 97}, {"share": 0.97}, {"share": 0.93}
+WORSE = ("error", 2.2), ("found", 96), ("share", 0.98), ("share", 0.92)
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("error", 2.2), ("found", 96), ("share", 0.98), ("share", 0.92)]
+    ("fresh", "words", "ended", "told"),
+    [
+        *((with_values(**values), "--gate", 0, "Nothing is worse") for values in NOT_WORSE),
+        *(
+            (with_values(**{name: x}), "--gate", 1, f"{name}: {FIGURES[name]['value']} -> {x}")
+            for name, x in WORSE
+        ),
+        (with_values(error=2.2), "", 0, "worse           error: 2.0 -> 2.2"),
+        (with_values(error=5.9), "--gate --times 3", 0, ""),
+        (with_values(error=6.1), "--gate --times 3", 1, "worse           error"),
+        (with_values(error=None), "--gate", 1, "cannot compare  error"),
+        ({"found": FIGURES["found"]}, "--gate", 1, "cannot compare  error"),
+        ({}, "--gate", 0, "cannot compare: errors was skipped"),
+        (FIGURES, "--gate --quick", 1, "nothing is frozen at the quick size"),
+    ],
 )
-def test_worsened_figure_ends_with_one_and_is_listed(gate, name, value, capsys):
-    assert gate(with_values(**{name: value}), "--gate") == 1
-    told = capsys.readouterr().out
-    assert f"worse           {name}: {FIGURES[name]['value']} -> {value}" in told
-    assert gate(with_values(**{name: value})) == 0  # without --gate it is only shown
-
-
-def test_cliffs_alone_are_worse_where_times_are_allowed(gate):
-    assert gate(with_values(error=5.9), "--gate", "--times", "3") == 0
-    assert gate(with_values(error=6.1), "--gate", "--times", "3") == 1
-
-
-@pytest.mark.parametrize("fresh", [with_values(error=None), {"found": FIGURES["found"]}])
-def test_figure_without_a_number_cannot_be_compared(gate, fresh, capsys):
-    assert gate(fresh, "--gate") == 1
-    assert "cannot compare  error" in capsys.readouterr().out
-
-
-def test_skipped_group_is_named_and_passes(gate, capsys):
-    assert gate({}, "--gate") == 0
-    assert "cannot compare: errors was skipped" in capsys.readouterr().out
-
-
-def test_size_that_was_never_frozen_ends_with_one(gate, capsys):
-    assert gate(FIGURES, "--gate", "--quick") == 1
-    assert "nothing is frozen at the quick size" in capsys.readouterr().out
+def test_gate_ends_with_one_where_a_figure_is_worse_or_missing(
+    gate, fresh, words, ended, told, capsys
+):
+    assert gate(fresh, *words.split()) == ended
+    assert told in capsys.readouterr().out
 
 
 def test_group_that_was_never_frozen_ends_with_one(capsys):

@@ -1,21 +1,19 @@
 """The reference set: its images are the oracle's, and a comparison finds what is wrong."""
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 
-import jax.numpy as jnp
-import numpy as np
-import pytest
-from chosen import full
-
-import pinhole_jax as pj
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "experiments" / "reference"))
 import _oracle
 import _scenes
 import compare
+import jax.numpy as jnp
 import make
+import numpy as np
+import pytest
+from chosen import full
+from numpy.testing import assert_allclose
+
+import pinhole_jax as pj
 
 REFERENCE = Path(__file__).parents[1] / "experiments" / "reference"
 NAMES = sorted(path.stem for path in (REFERENCE / "set").glob("*.npz"))
@@ -49,7 +47,7 @@ def test_oracle_confirms_the_coverage_in_the_files(views, name):
         assert file["derivatives"].shape == (len(file["parameters"]), *image.shape)
     some = np.zeros(image.shape, bool)
     some[::5] = True
-    np.testing.assert_allclose(
+    assert_allclose(
         _oracle.coverage(view, some)[::5], image[::5], rtol=0, atol=make.limits(view)[0]
     )
 
@@ -66,7 +64,7 @@ def test_file_holds_the_same_camera_as_K_R_t():
             pj.Lens(file["principal_point"], file["aspect"]),
         )
         x, y = np.asarray(pj.project(given, jnp.asarray(file["vertices"]))).T
-        np.testing.assert_allclose([u / w, int(file["H"]) - v / w], [x, y], atol=1e-10)
+        assert_allclose([u / w, int(file["H"]) - v / w], [x, y], atol=1e-10)
 
 
 @pytest.mark.long
@@ -80,25 +78,9 @@ def test_derivatives_are_the_oracle_s_differences(views, name):
     assert set(found.errors) == set(view.parameters)
     assert np.all(found.derivatives[view.parameters.index("d")] == 0)
     film = found.derivatives[view.parameters.index("d_film")]
-    np.testing.assert_allclose(
+    assert_allclose(
         film, found.derivatives[view.parameters.index("phi")] * -np.sin(view.phi) / view.d
     )
-
-
-@pytest.mark.long
-def test_derivative_twice_too_large_is_not_confirmed(views, monkeypatch):
-    right = make.images
-
-    def doubled(view):
-        image, derivatives = right(view)
-        derivatives[view.parameters.index("e_y")] *= 2
-        return image, derivatives
-
-    monkeypatch.setattr(make, "images", doubled)
-    view = smaller(views["triangle"])
-    errors = make.made(view).errors
-    assert errors["e_y"] > 0.9
-    assert errors["e_x"] <= make.limits(view)[1]
 
 
 def planted(tmp_path, **factors):
