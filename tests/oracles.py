@@ -96,7 +96,11 @@ def clipped_polygon(corners: np.ndarray, W: int, H: int):
 
 
 def mesh_polygons(camera: pj.Camera, vertices, faces) -> list:
-    """Return the projected triangles, clipped at the frame: no facing, no contour, no winding."""
+    """Return the projected triangles, clipped at the frame: no facing, no contour, no winding.
+
+    In float64, whatever the camera's type.
+    """
+    camera = jax.tree.map(lambda x: jnp.asarray(x, float), camera)
     triangles = homogeneous(camera, vertices)[np.asarray(faces)]
     inside = np.ones(len(triangles), bool)
     for plane in (*sides_of_frame(camera.W, camera.H), [0, 0, 1]):
@@ -121,8 +125,7 @@ def drawn(camera: pj.Camera, scene: pj.Scene) -> np.ndarray:
     lens = camera.lens
     if scene.mesh is None or scene.spheres is not None or (lens and lens.distortion is not None):
         return np.asarray(pj.silhouette(camera, scene))
-    wide = jax.tree.map(lambda x: jnp.asarray(x, float), camera)
-    polygons = mesh_polygons(wide, scene.mesh.vertices, scene.mesh.faces)
+    polygons = mesh_polygons(camera, scene.mesh.vertices, scene.mesh.faces)
     return area_per_pixel(shapely.union_all(polygons), camera.W, camera.H)
 
 
@@ -143,10 +146,6 @@ def sphere_polygons(camera: pj.Camera, centers, radii, corners: int = 20_000) ->
         points = eye + touch / distance * (touch * axis + radius * ring)
         outlines.append(clipped_polygon(homogeneous(camera, points), camera.W, camera.H))
     return [outline for outline in outlines if outline is not None]
-
-
-def sphere_union(camera: pj.Camera, centers, radii):
-    return shapely.union_all(sphere_polygons(camera, centers, radii))
 
 
 def central_difference(function, x: np.ndarray, step: float = 1e-5) -> np.ndarray:
@@ -173,6 +172,11 @@ def turned(camera: pj.Camera, axis, degrees: float, distance: float = 1.0, focal
     dtype = np.asarray(camera.e).dtype
     arrays = (x.astype(dtype) for x in (eye, eye + R @ (p - e), R @ u))
     return pj.Camera(*arrays, dtype.type(phi), camera.d, camera.W, camera.H, camera.lens)
+
+
+def usual_camera(W: int = 96, H: int = 80) -> pj.Camera:
+    """Return the camera that most tests look through: askew, 5 from a shape of size 1."""
+    return pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, W, H)
 
 
 def random_camera(random: np.random.Generator, W: int, H: int, distance: float = 5.0):

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import trimesh
 from chosen import first
+from numpy.testing import assert_allclose, assert_array_equal
 from oracles import drawn
 from PIL import Image
 
@@ -107,7 +108,7 @@ def test_row_has_the_camera_of_the_mask(records, rows, truths):
         assert list(row) == list(batch.COLUMNS)
         assert row["status"] == "converged", row["words"]
         check_pose(row, R, t)
-        np.testing.assert_allclose(np.reshape(row["K"], (3, 3)), K, atol=1e-9)
+        assert_allclose(np.reshape(row["K"], (3, 3)), K, atol=1e-9)
         assert json.loads(row["record"]) == record
         assert row["hash"] == digest_of(record)
         assert row["seconds"] > 0
@@ -117,12 +118,12 @@ def test_row_has_the_camera_of_the_mask(records, rows, truths):
 def test_row_holds_the_whole_fit_for_any_format(rows, tmp_path):
     fit = batch.fit_of(rows[0])
     assert (fit.status, list(fit.names)) == (rows[0]["status"], rows[0]["names"])
-    np.testing.assert_array_equal(fit.covariance.ravel(), rows[0]["covariance"])
+    assert_array_equal(fit.covariance.ravel(), rows[0]["covariance"])
     formats.write(tmp_path / "camera.yaml", {"camera": fit.camera})
     K, R, t = formats.to_opencv(formats.read_one(tmp_path / "camera.yaml"), pixel_centres="integer")
     found = np.concatenate([K.ravel(), R.ravel(), t])
     expected = [x for name in "KRt" for x in rows[0][name]]
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+    assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
 
 
 def test_window_of_a_picture_gives_the_camera_of_the_window(records, truths, tmp_path):
@@ -142,7 +143,7 @@ def test_window_of_a_picture_gives_the_camera_of_the_window(records, truths, tmp
     check_pose(row, R, t)
     moved = np.array([[1, 0, 0.5 - left], [0, 1, 0.5 - top], [0, 0, 1]])  # the pixels' corner is 0
     scaled = np.array([[2, 0, -0.5], [0, 2, -0.5], [0, 0, 1]]) @ moved @ K
-    np.testing.assert_allclose(np.array(row["K"]).reshape(3, 3), scaled, atol=1e-9)
+    assert_allclose(np.array(row["K"]).reshape(3, 3), scaled, atol=1e-9)
 
 
 @pytest.mark.parametrize("invert", [False, True])
@@ -166,7 +167,7 @@ def test_run_lengths_as_pycocotools_gives_them_are_read():
     for counts in (rle["counts"], text, plain, tuple(plain), np.array(plain), [*np.array(plain)]):
         for shape in (size, tuple(size), np.array(size), [*np.array(size)]):
             found = io.mask_of_rle({"size": shape, "counts": counts})
-            np.testing.assert_array_equal(found, 255 * inside)
+            assert_array_equal(found, 255 * inside)
 
 
 @pytest.mark.parametrize(
@@ -737,7 +738,7 @@ def test_worker_processes_and_a_cluster_make_the_same_rows(folder, records, rows
     assert all(same(a, b) for a, b in zip(found, batch.Results(other), strict=True))
     for a, b in zip(found, rows, strict=True):
         assert a["status"] == b["status"]
-        np.testing.assert_allclose(a["R"], b["R"], atol=1e-4)
+        assert_allclose(a["R"], b["R"], atol=1e-4)
 
 
 # The command.
@@ -754,8 +755,8 @@ def test_command_writes_table_and_camera(rows, folder, tmp_path, capsys, monkeyp
     assert f"{COUNT}   converged" in printed
     assert len((tmp_path / "table.jsonl").read_text().splitlines()) == COUNT
     K, _, t = formats.to_opencv(formats.read_one("camera.yaml"), pixel_centres="integer")
-    np.testing.assert_allclose(K.ravel(), rows[0]["K"], rtol=1e-12)
-    np.testing.assert_allclose(t, rows[0]["t"], atol=1e-13 * np.linalg.norm(t))
+    assert_allclose(K.ravel(), rows[0]["K"], rtol=1e-12)
+    assert_allclose(t, rows[0]["t"], atol=1e-13 * np.linalg.norm(t))
 
     # All is done: nothing is to be fitted. But that has to be asked for.
     again = f"{folder}/test -o out"

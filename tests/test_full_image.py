@@ -4,11 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from oracles import drawn
+from oracles import drawn, usual_camera
 
 import pinhole_jax as pj
 
-CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 48, 40)
+CAMERA = usual_camera(48, 40)
 SCENE = pj.Scene(mesh=pj.shapes.bumpy(2))
 EXACT = drawn(CAMERA, SCENE)
 START = CAMERA.replace(e=[0.35, 1.03, 5.1])

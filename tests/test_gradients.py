@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from oracles import central_difference, mesh_coverage
 
 import pinhole_jax as pj
@@ -47,9 +48,7 @@ def test_camera_gradient_equals_central_differences_of_the_polygon_union(mesh, g
     scale = np.abs(np.asarray(gradients[0].phi))
     assert np.all(np.isfinite(found))
     # 1e-6 relative, of each parameter's own gradient; d moves nothing.
-    np.testing.assert_allclose(
-        found, expected, atol=1e-6 * max(np.abs(expected).max(), 1e-3 * scale)
-    )
+    assert_allclose(found, expected, atol=1e-6 * max(np.abs(expected).max(), 1e-3 * scale))
     if name == "d":
         assert float(found) == 0
 
@@ -66,28 +65,7 @@ def test_vertex_gradient_equals_central_differences_of_the_polygon_union(mesh, g
             return np.sum(WEIGHT * mesh_coverage(CAMERA, moved, mesh.faces))
 
         expected = central_difference(oracle, vertices[vertex])
-        np.testing.assert_allclose(found[vertex], expected, atol=1e-6 * np.abs(found).max())
-
-
-@pytest.mark.long
-def test_forward_and_reverse_agree(mesh):
-    spheres = pj.Spheres([[1.2, 0.9, 0]], [0.3])
-    scene = pj.Scene(mesh=mesh, spheres=spheres)
-    moving, still = eqx.partition((CAMERA, scene), eqx.is_inexact_array)
-    random = np.random.default_rng(1)
-    direction = jax.tree.map(lambda x: jnp.asarray(random.normal(size=x.shape)), moving)
-
-    def loss(moving):
-        # Where nothing overlaps; test_overlaps does it with unions.
-        image = pj.silhouette(*eqx.combine(moving, still), overlaps=False)
-        return jnp.sum(jnp.asarray(WEIGHT) * image)
-
-    _, forward = jax.jit(lambda m, d: jax.jvp(loss, (m,), (d,)))(moving, direction)
-    reverse = jax.grad(loss)(moving)
-    products = jax.tree.map(lambda a, b: jnp.sum(a * b), reverse, direction)
-    total = sum(float(x) for x in jax.tree.leaves(products))
-    np.testing.assert_allclose(forward, total, rtol=1e-10)
-    assert abs(total) > 1
+        assert_allclose(found[vertex], expected, atol=1e-6 * np.abs(found).max())
 
 
 def test_frozen_leaves_cost_no_derivative(mesh):

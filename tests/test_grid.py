@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from chosen import long
+from numpy.testing import assert_allclose
 from oracles import mesh_coverage
 
 import pinhole_jax as pj
@@ -130,12 +131,12 @@ def test_sheets_on_the_grid_and_their_derivative_are_exact(name, exhaustive):
         direction = (across * right(turn) + up * UP[turn]) / 16
         image, change = with_change(camera(turn), scene_of(vertices, faces), jnp.array(direction))
         covered = half_pixels(spans, turn)
-        np.testing.assert_allclose(image, by_pixel(covered), atol=5e-14)
+        assert_allclose(image, by_pixel(covered), atol=5e-14)
         # On a pixel's side an edge counts for the pixel above or right of it.
-        np.testing.assert_allclose(change, shifted_change(covered, across, up), atol=1e-12)
+        assert_allclose(change, shifted_change(covered, across, up), atol=1e-12)
         single = scene_of(vertices, faces, np.float32)
         image = pj.silhouette(camera(turn, np.float32), single)
-        np.testing.assert_allclose(image, by_pixel(covered), atol=3e-5)
+        assert_allclose(image, by_pixel(covered), atol=3e-5)
 
 
 def on_one_line(random):
@@ -158,7 +159,7 @@ def test_edges_on_one_line_through_pixels_corners(by, exhaustive, request):
         vertices, faces = on_one_line(np.random.default_rng(seed))
         expected = mesh_coverage(camera(seed % 4), vertices, faces)
         scene = pj.Scene(mesh=pj.Mesh(vertices, faces))
-        np.testing.assert_allclose(pj.silhouette(camera(seed % 4), scene), expected, atol=1e-13)
+        assert_allclose(pj.silhouette(camera(seed % 4), scene), expected, atol=1e-13)
 
 
 @pytest.mark.long
@@ -169,7 +170,7 @@ def test_solids_on_the_grid_match_the_polygon_union(name, exhaustive):
         turn = seed % 4
         expected = mesh_coverage(camera(turn), vertices, faces)
         image, _ = with_change(camera(turn), scene_of(vertices, faces), jnp.array([0.02, 0.03, 0]))
-        np.testing.assert_allclose(image, expected, atol=5e-14)
+        assert_allclose(image, expected, atol=5e-14)
         single = scene_of(vertices, faces, np.float32)
         image = pj.silhouette(camera(turn, np.float32), single)
-        np.testing.assert_allclose(image, expected, atol=3e-5)
+        assert_allclose(image, expected, atol=3e-5)

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 from masks import wavy
+from oracles import usual_camera
+from results import NAMES, fit_at
 from scipy.spatial.transform import Rotation
 from scipy.stats import kstest
 
@@ -11,8 +13,7 @@ from pinhole_jax._camera.poses import exponential
 from pinhole_jax._fit.result import MaskError
 from pinhole_jax._joint.joint_fit import ObjectFit
 
-NAMES = ("rotation_b1", "rotation_b2", "rotation_v", "e_x", "e_y", "e_z", "phi")
-CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
+CAMERA = usual_camera()
 SCENE = pj.Scene(mesh=pj.shapes.bumpy(3))
 POINTS = np.random.default_rng(0).normal(size=(40, 3)) * [0.5, 0.5, 0.5]
 
@@ -24,10 +25,6 @@ def known_by(sigma_px, names=NAMES, times=1.0):
     seen = lambda step: np.asarray(pj.project(fit.displaced(step), POINTS)).ravel()
     J = np.stack([(seen(h * x) - seen(-h * x)) / (2 * h) for x in np.eye(n)], axis=1)
     return (times * sigma_px) ** 2 * np.linalg.inv(J.T @ J)
-
-
-def fit_at(camera, covariance, names=NAMES, status="converged"):
-    return pj.Fit(camera, status, names, covariance, 0.0, 1.0, (1,))
 
 
 def drawn(random, covariance, names=NAMES, told=1.0):

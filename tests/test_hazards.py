@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from chosen import first, full
+from numpy.testing import assert_allclose, assert_array_equal
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
@@ -75,7 +76,7 @@ def test_poisoned_element_leaves_the_rest_of_a_batch_alone(bad):
         new.reshape(3, -1)[1, 0] = bad
         poisoned = batch(*eqx.tree_at(where, (cameras, scenes), jnp.asarray(new)))
         for x, y in zip(jax.tree.leaves(poisoned), jax.tree.leaves(whole), strict=True):
-            np.testing.assert_array_equal(x[::2], y[::2])
+            assert_array_equal(x[::2], y[::2])
 
 
 # --- masked branches -----------------------------------------------------------------------------
@@ -133,11 +134,11 @@ def test_traced_camera_that_is_none_sees_nothing(name):
     part, value = NO_CAMERAS[name]
     camera = eqx.tree_at(lambda c: getattr(c, part), CAMERA, value)
     slopes, (image, direction, t, points, depth) = looking(camera)
-    np.testing.assert_allclose(image, 0, atol=1e-15)
-    np.testing.assert_allclose(points, np.tile([3, 2.5], (len(points), 1)))  # the principal point
+    assert_allclose(image, 0, atol=1e-15)
+    assert_allclose(points, np.tile([3, 2.5], (len(points), 1)))  # the principal point
     view = np.array(CAMERA.p - CAMERA.e) if part == "u" else np.zeros(3)
     assert np.all(np.linalg.norm(direction, axis=-1) <= 1)  # beside the axis they are shorter
-    np.testing.assert_allclose(np.cross(direction, view), 0, atol=1e-14)
+    assert_allclose(np.cross(direction, view), 0, atol=1e-14)
     assert np.all((direction @ view > 0) == (part == "u"))
     assert part == "u" or np.all(np.isinf(t))
     assert np.all(np.isposinf(depth))
@@ -154,5 +155,5 @@ def test_rays_that_miss_or_touch_have_the_stated_derivative():
         (1.1, np.inf, [0] * 3),
     ):
         found, derivative = jax.value_and_grad(t)(jnp.array([x, 0.0, 4]))
-        np.testing.assert_allclose(found, value, rtol=1e-12)
-        np.testing.assert_allclose(derivative, slope, atol=1e-12)
+        assert_allclose(found, value, rtol=1e-12)
+        assert_allclose(derivative, slope, atol=1e-12)

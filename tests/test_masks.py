@@ -4,14 +4,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from oracles import drawn
+from numpy.testing import assert_allclose, assert_array_equal
+from oracles import drawn, usual_camera
 from PIL import Image
 
 import pinhole_jax as pj
 from pinhole_jax import io, shapes
 
 W, H = 96, 80
-CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, W, H)
+CAMERA = usual_camera(W, H)
 
 
 def disc(softness=1.0):
@@ -94,7 +95,7 @@ SOFT_EDGES = {
 def test_soft_edge_counts_once_whether_colours_or_transparency_hold_it(tmp_path, name):
     image, *how = SOFT_EDGES[name]
     mask, said = load(tmp_path, image, how=dict(*how))
-    np.testing.assert_array_equal(mask, SOFT)
+    assert_array_equal(mask, SOFT)
     assert (said == "") == (name in ("grey", "RGB", "opaque", "half opaque everywhere"))
 
 
@@ -117,19 +118,19 @@ def test_pictures_are_read_as_masks(tmp_path, name):
     image, expected, words = READ[name]
     mask, said = load(tmp_path, image)
     assert mask.dtype == np.uint8
-    np.testing.assert_array_equal(mask, expected)
+    assert_array_equal(mask, expected)
     assert words in said
 
 
 def test_masks_are_read_the_way_that_is_asked_for(tmp_path):
     mask, said = load(tmp_path, RAMP, "luminance")
-    np.testing.assert_array_equal(mask, RAMP)
+    assert_array_equal(mask, RAMP)
     assert said == "mask: its brightness"
     entries = palette(LEVELS, [255, 0, 0, 9, 9, 9, 9, 9, 9, 0, 0, 255])  # two look alike
     for picture in (LEVELS, LEVELS.astype(np.uint16), entries):
         for k in range(4):
             mask, said = load(tmp_path, picture, f"label={k}")
-            np.testing.assert_array_equal(mask, 255 * (k == LEVELS))
+            assert_array_equal(mask, 255 * (k == LEVELS))
             assert said.startswith(f"mask: label {k}, ")
             assert "edges hard" in said
 
@@ -238,7 +239,7 @@ def test_labels_of_any_depth_are_refused_and_listed(tmp_path, dtype, first, seco
     with pytest.raises(ValueError, match=rf"the values {listed}\b.*{hint}") as caught:
         load(tmp_path, labels, ending="tiff")
     mask, said = load(tmp_path, labels, f"label={first}", ending="tiff")
-    np.testing.assert_array_equal(mask > 0, labels == first)
+    assert_array_equal(mask > 0, labels == first)
     void = second in (255, 65535)
     assert ("often void" in str(caught.value)) == ("often void" in said) == void
 
@@ -263,8 +264,8 @@ def test_inverted_silhouette_is_refused_and_can_be_turned(tmp_path, silhouette, 
     assert said.endswith(", inverted")
     expected = 255 * (silhouette > 127) if mode == "1" else silhouette
     assert np.mean(mask != expected) < (0.02 if mode == "1" else 1e-9)  # Pillow dithers soft edges
-    np.testing.assert_array_equal(load(tmp_path, image, way)[0], 255 - mask)
-    np.testing.assert_array_equal(load(tmp_path, image, way, invert=True)[0], mask)
+    assert_array_equal(load(tmp_path, image, way)[0], 255 - mask)
+    assert_array_equal(load(tmp_path, image, way, invert=True)[0], mask)
 
 
 @pytest.mark.parametrize(("share", "right", "top"), [(0.4, 66, H), (0.6, 30, H), (0.85, 26, 27)])
@@ -273,7 +274,7 @@ def test_object_cut_off_by_the_frame_is_accepted(tmp_path, share, right, top):
     mask[:top, W - right :] = 0
     border = np.concatenate([mask[0], mask[-1], mask[1:-1, 0], mask[1:-1, -1]])
     assert abs(np.mean(border > 127) - share) < 0.02
-    np.testing.assert_array_equal(load(tmp_path, mask)[0], mask)
+    assert_array_equal(load(tmp_path, mask)[0], mask)
 
 
 SMOOTH_Y, SMOOTH_X = np.mgrid[:H, :W]
@@ -320,16 +321,16 @@ def cut_outs():
 def test_object_cut_out_hard_is_its_transparency(tmp_path, name):
     colours, opaque = cut_outs()[name]
     mask, _ = load(tmp_path, channels(np.uint8(colours), np.uint8(255 * opaque)))
-    np.testing.assert_array_equal(mask, 255 * opaque)
+    assert_array_equal(mask, 255 * opaque)
 
 
 def test_background_that_is_not_black_stays_where_edges_are_soft(tmp_path):
     soft = np.uint8(np.round(25 + 230 * disc()))
     mask, said = load(tmp_path, soft)
-    np.testing.assert_array_equal(mask, soft)
+    assert_array_equal(mask, soft)
     assert "25 of 255" in said
     mask, _ = load(tmp_path, channels(WHITE, SOFT // 2))
-    np.testing.assert_allclose(mask / 255, SOFT / 255, atol=0.01)
+    assert_allclose(mask / 255, SOFT / 255, atol=0.01)
 
 
 def test_background_colour_gives_partial_coverage_at_edges(tmp_path):
@@ -385,7 +386,7 @@ def test_jpegs_are_masks_whose_ringing_costs_less_than_a_threshold(tmp_path, qua
     for picture in (SOFT, HARD):
         mask, _ = load(tmp_path, picture, ending="jpg", how={"quality": quality})
         with Image.open(tmp_path / "mask.jpg") as lossy:
-            np.testing.assert_array_equal(load(tmp_path, lossy)[0], mask)
+            assert_array_equal(load(tmp_path, lossy)[0], mask)
         error = lambda a, truth=picture: np.sqrt(np.mean((a - truth / 255) ** 2))
         assert error(mask / 255) < 0.1
         if picture is SOFT and quality == 75:
@@ -398,7 +399,7 @@ def test_masks_of_two_levels_and_soft_edges_are_read_in_any_depth(tmp_path, dtyp
         most = 255 if dtype == np.uint8 else most
         levels = disc(softness) * most if dtype == np.float32 else np.round(disc(softness) * most)
         mask, _ = load(tmp_path, levels.astype(dtype), ending="tiff")
-        np.testing.assert_allclose(mask / 255, disc(softness), atol=1 / 200)
+        assert_allclose(mask / 255, disc(softness), atol=1 / 200)
     enlarged = np.round(255 * disc()).astype(dtype).repeat(3, 0).repeat(3, 1)
     assert load(tmp_path, enlarged, ending="tiff")[0].shape == (3 * H, 3 * W)
 
@@ -429,7 +430,7 @@ def test_crumbs_and_pinholes_are_removed_and_reported(to):
     expected = soft_square()
     expected[5:20, 120:140] = 0
     expected[70, 80] = 1
-    np.testing.assert_array_equal(result, to(expected))
+    assert_array_equal(result, to(expected))
     assert notes == ("1 island of at most 9 px dropped", "1 hole of at most 1 px filled")
     assert io.tidy_mask(result) == (pytest.approx(result), ())
 
@@ -438,7 +439,7 @@ def test_tidy_mask_describes_and_leaves_a_sound_mask():
     mask = np.zeros((60, 80), bool)
     mask[:30, 10:30] = mask[40:60, 50:60] = True
     result, notes = io.tidy_mask(mask)
-    np.testing.assert_array_equal(result, mask)
+    assert_array_equal(result, mask)
     parts = "2 parts (75%, 25% of the covered area): all one object?"
     assert notes == (parts, "the film cuts the mask off: top, bottom")
     assert io.tidy_mask(mask | True).notes == ("the mask covers all",)

@@ -10,12 +10,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from oracles import usual_camera
+from results import fit_at
 
 import pinhole_jax as pj
 from pinhole_jax._fit.words import STATUSES
 from pinhole_jax.show.space import ROOM, H, W
 
-CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
+CAMERA = usual_camera()
 SVG = "{http://www.w3.org/2000/svg}"
 
 
@@ -24,11 +26,9 @@ def parsed(text):
     return ElementTree.fromstring(f"<page>{text}</page>")
 
 
-def a_fit(status="converged", weak=(), modes=(), history=(), std=(1e-3, 2e-3, np.inf)):
+def a_fit(status="converged", std=(1e-3, 2e-3, np.inf), **more):
     names = ("rotation_b1", "e_x", "phi")
-    covariance = np.diag(np.square(std))
-    known = {"weak": weak, "modes": modes, "history": history}
-    return pj.Fit(CAMERA, status, names, covariance, 0.01, 0.99, (3,), **known)
+    return fit_at(CAMERA, np.diag(np.square(std)), names, status=status, **more)
 
 
 def circles(tree):

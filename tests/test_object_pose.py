@@ -4,19 +4,18 @@ import cv2
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_words import TURNS, random_camera
+from numpy.testing import assert_allclose, assert_array_equal
+from results import NAMES, fit_at
+from test_words import random_camera
 
 import pinhole_jax as pj
 from pinhole_jax import formats, io
 from pinhole_jax._solver.moves import displaced
 
-NAMES = (*TURNS, "e_x", "e_y", "e_z", "phi")
-
 
 def fit_of(camera, names=NAMES, seed=0):
     root = 1e-4 * np.random.default_rng(seed).normal(size=(len(names), len(names)))
-    covariance = root @ root.T
-    return pj.Fit(camera, "converged", names, covariance, 0.01, 0.99, (3,))
+    return fit_at(camera, root @ root.T, names)
 
 
 def change(pose, other):
@@ -34,8 +33,8 @@ def test_covariance_equals_that_of_differences(seed):
     )
     h = 1e-5 * np.eye(len(NAMES))
     J = np.stack([change(at(-step), at(step)) for step in h], axis=1) / 2e-5
-    np.testing.assert_allclose(pose.covariance, J @ fit.covariance @ J.T, rtol=1e-5, atol=1e-15)
-    np.testing.assert_allclose(pose.std**2, np.diag(pose.covariance))
+    assert_allclose(pose.covariance, J @ fit.covariance @ J.T, rtol=1e-5, atol=1e-15)
+    assert_allclose(pose.std**2, np.diag(pose.covariance))
 
 
 def test_pose_projects_as_the_camera_does():
@@ -45,24 +44,22 @@ def test_pose_projects_as_the_camera_does():
     points = middle + np.random.default_rng(4).normal(size=(5, 3)) / 4
     seen = cv2.projectPoints(points, cv2.Rodrigues(pose.R)[0], pose.t, pose.K, None)[0][:, 0]
     seen[:, 1] = camera.H - seen[:, 1]
-    np.testing.assert_allclose(seen, pj.project(camera, jnp.asarray(points)), rtol=1e-9)
-    np.testing.assert_allclose(
-        pose.camera_from_world @ pose.world_from_camera, np.eye(4), atol=1e-12
-    )
-    np.testing.assert_allclose(pose.world_from_camera[:3, 3], camera.e)
+    assert_allclose(seen, pj.project(camera, jnp.asarray(points)), rtol=1e-9)
+    assert_allclose(pose.camera_from_world @ pose.world_from_camera, np.eye(4), atol=1e-12)
+    assert_allclose(pose.world_from_camera[:3, 3], camera.e)
 
 
 def test_frozen_parameters_have_no_error_and_hidden_ones_infinite():
     camera = pj.Camera([0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 64, 48)
     place = formats.object_pose(fit_of(camera, ("e_x", "e_y", "e_z")), pixel_centres="half")
-    np.testing.assert_array_equal(place.std[:3], 0)
+    assert_array_equal(place.std[:3], 0)
     names = ("rotation_v", "e_x")
     lost = fit_of(camera, names)
     covariance = np.array([[np.inf, np.nan], [np.nan, 1e-8]])
     lost = lost._replace(covariance=covariance)
     pose = formats.object_pose(lost, pixel_centres="half")
     assert np.isinf(pose.std[2])
-    np.testing.assert_allclose(pose.std[[0, 1, 3, 4, 5]], [0, 0, 1e-4, 0, 0], atol=1e-12)
+    assert_allclose(pose.std[[0, 1, 3, 4, 5]], [0, 0, 1e-4, 0, 0], atol=1e-12)
     assert np.isnan(pose.covariance[2, 3])
 
 
@@ -75,8 +72,8 @@ def test_pose_is_printed_and_saved_with_the_fit():
     written = io.fit_to_dict(fit)["fit"]["object_in_camera"]
     assert written["pixel_centres"] == "integer"
     for name in ("K", "R", "t", "camera_from_world", "world_from_camera"):
-        np.testing.assert_array_equal(written[name], getattr(pose, name))
-    np.testing.assert_array_equal(written["object_covariance"], pose.covariance)
+        assert_array_equal(written[name], getattr(pose, name))
+    assert_array_equal(written["object_covariance"], pose.covariance)
     assert "covariance" not in written  # that of the fit alone has this name
     assert "right, down, forward" in written["object_frame"]
     assert written["distortion"] is None

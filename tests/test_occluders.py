@@ -8,19 +8,12 @@ import numpy as np
 import pytest
 import trimesh
 from chosen import first, full
-from oracles import drawn, turned
+from oracles import drawn, turned, usual_camera
 from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
 from pinhole_jax import plot, report, shapes
-from pinhole_jax._fit.edge import edge_of
 from pinhole_jax._fit.likelihood import _cheapest
-from pinhole_jax._fit.refine import Refiner
-from pinhole_jax._mask.mask import Mask
-from pinhole_jax._outline.stretches import coverage_of, outline_means, outline_pixels
-from pinhole_jax._solver.moves import canonical
-from pinhole_jax._solver.solver import Solver
-from pinhole_jax._solver.subject import Subject
 from pinhole_jax.show.outline import RED
 
 COLUMNS = np.arange(96) + 0.5
@@ -47,89 +40,6 @@ def behind_a_wall(truth, scene, share: float) -> tuple[np.ndarray, float]:
     there = np.flatnonzero(inside.any(axis=0))
     wall = int(there[0] + share * np.ptp(there))
     return inside & (wall < COLUMNS), float(wall)
-
-
-def test_edge_has_points_on_it_and_outward_normals():
-    """A disc with a soft edge: where it is one half is the circle."""
-    row, column = np.mgrid[:80, :96] + 0.5
-    away = np.hypot(80 - row - 33.3, column - 41.7)
-    mask = Mask(np.clip(20 - away + 0.5, 0, 1), np.ones((80, 96)), anywhere(0))
-    edge = edge_of(mask)
-    from_middle = edge.at - [41.7, 33.3]
-    np.testing.assert_allclose(np.linalg.norm(from_middle, axis=1), 20, atol=0.1)
-    assert np.min(np.sum(edge.out * from_middle / 20, axis=1)) > 0.98
-    assert edge.length == pytest.approx(2 * np.pi * 20, rel=0.01)
-    half = Mask(mask.target, np.broadcast_to(COLUMNS > 41.7, (80, 96)) * 1.0, mask.camera)
-    assert edge_of(half).at[:, 0].min() > 41
-    assert len(edge.thinned(40).at) <= 40
-    blocks = edge.blocks(10, 2.0)
-    assert 10 <= len(blocks.length) <= 11
-    np.testing.assert_allclose(blocks.length.sum(), edge.length)
-
-
-def test_means_about_an_outline_are_those_of_whole_images(scene):
-    """... that SciPy's filter takes, at the film's border, too."""
-    from scipy.ndimage import uniform_filter
-
-    truth = anywhere(3)
-    mask = Mask(drawn(truth, scene) > 0.5, np.ones((80, 96)), truth)
-    solver = Solver.on(Subject.from_scene(scene, np.float64), mask, ("pose",), 8)
-    near = pj.Camera(0.5 * truth.e, truth.p, truth.u, truth.phi, 1.0, 96, 80)
-    view = solver.look(canonical(near), solver.finest)
-    place, rows, _ = outline_pixels(view)
-    coverage = coverage_of(view)
-    assert place[:, 0].min() < 2
-    slopes = np.gradient(coverage)
-    moves = np.zeros((*coverage.shape, rows.shape[1]))
-    moves[tuple(place.T)] = rows
-    found = outline_means(view, place, rows)
-    wanted = np.dstack([np.hypot(*slopes), slopes[1], slopes[0], moves])
-    mean = uniform_filter(wanted, (5, 5, 0), mode="constant")[tuple(place.T)]
-    got = np.column_stack(found)
-    np.testing.assert_allclose(got, mean, atol=1e-12 * np.abs(mean).max())
-
-
-def refiner_of(truth, scene, seen, weight=None) -> Refiner:
-    mask = Mask(seen * 1.0, np.ones((80, 96)) if weight is None else weight, truth)
-    solver = Solver.on(Subject.from_scene(scene, np.float64), mask, ("pose",), 8)
-    return Refiner.on(solver, mask, 2.0)
-
-
-def test_account_finds_what_a_wall_hides(scene):
-    """The wall's edge is not believed, the rest is, and outline behind the wall is not missed."""
-    truth = anywhere(0)
-    seen, wall = behind_a_wall(truth, scene, 0.3)
-    refiner = refiner_of(truth, scene, seen)
-    right = refiner.account(canonical(truth))
-    off = np.abs(refiner.edge.at[:, 0] - wall)
-    assert np.mean(right.gross[off < 0.6]) > 0.7  # (its ends are near the outline)
-    assert not np.any(right.gross[off > 6])
-    assert right.missing == 0
-    assert right.astray(refiner.edge) < 0.02
-    assert right.size < 0.3
-    whole = refiner_of(truth, scene, drawn(truth, scene) > 0.5).account(canonical(truth))
-    assert not np.any(whole.gross)
-
-
-@pytest.mark.parametrize("turn", [15, 90])
-def test_truth_is_likelier_than_a_turned_camera(scene, turn):
-    """(Not than one that is a few degrees off: the camera's own error is integrated out.)"""
-    truth = anywhere(0)
-    seen, _ = behind_a_wall(truth, scene, 0.3)
-    refiner = refiner_of(truth, scene, seen)
-    logs = [refiner.account(canonical(c)).log for c in (truth, turned(truth, [1, 2, 3], turn))]
-    assert logs[0] > logs[1] + 7
-
-
-def test_outline_without_an_edge_beside_it_costs(scene):
-    """A camera whose object reaches beyond a mask that nothing cuts off."""
-    truth = anywhere(0)
-    seen = drawn(truth, scene) > 0.5
-    seen[:, seen.any(axis=0).nonzero()[0][-1] - 5 :] = False  # a corner is gone ...
-    refiner = refiner_of(truth, scene, seen)
-    near = pj.Camera(0.6 * truth.e, truth.p, truth.u, truth.phi, 1.0, 96, 80)
-    far = refiner.account(canonical(near))
-    assert far is None or far.log < refiner.account(canonical(truth)).log - 20
 
 
 @pytest.mark.parametrize("cheap", [[0, 1, 2], [9, 10, 0], []])
@@ -229,6 +139,6 @@ def test_view_closest_to_the_edge_wins():
 def test_different_shape_is_not_taken_for_an_occluded_one(seed):
     """Its outline lies within the object's here and there, as if something stood before it."""
     scene, other = (pj.Scene(mesh=shapes.bumpy(3, k)) for k in (0, seed))
-    camera = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 192, 160)
+    camera = usual_camera(192, 160)
     fit = pj.fit_camera(scene, drawn(camera, other) > 0.5, turned(camera, [1, 2, 3], 10))
     assert fit.status != "converged"

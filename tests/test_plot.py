@@ -5,37 +5,36 @@ import numpy as np
 import pytest
 import shapely
 import trimesh
-from oracles import mesh_polygons, sphere_union
+from chosen import long
+from numpy.testing import assert_allclose
+from oracles import mesh_polygons, sphere_polygons, usual_camera
+from results import fit_at
 
 import pinhole_jax as pj
 from pinhole_jax import plot, shapes
 from pinhole_jax._silhouette.visible import STEP_PX
 
-CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
+CAMERA = usual_camera()
 
 
-@pytest.mark.parametrize("name", ["bumpy", "torus", "box"])
-def test_outline_is_that_of_the_polygon_union(name):
-    if name == "bumpy":
-        mesh = shapes.bumpy(3)
-    else:
-        made = trimesh.creation.torus(1.0, 0.4) if name == "torus" else trimesh.creation.box()
-        mesh = pj.Mesh(made.vertices, made.faces)
-    union = shapely.union_all(mesh_polygons(CAMERA, mesh.vertices, mesh.faces))
-    outline = plot.outline(CAMERA, pj.Scene(mesh=mesh))
-    lines = shapely.linestrings(outline)
-    np.testing.assert_allclose(np.sum(shapely.length(lines)), union.boundary.length, rtol=0.02)
-    assert np.max(shapely.distance(lines, union.boundary)) < 0.1
-    np.testing.assert_array_equal(np.max(shapely.length(lines)) <= STEP_PX + 1e-9, True)
+BODIES = {
+    "bumpy": pj.Scene(mesh=shapes.bumpy(3)),
+    "torus": pj.Scene(mesh=pj.Mesh(trimesh.creation.torus(1.0, 0.4))),
+    "box": pj.Scene(mesh=pj.Mesh(trimesh.creation.box())),
+    "spheres": pj.Scene(spheres=pj.Spheres([[0.0, 0, 0], [0.6, 0.2, 0.3]], [0.5, 0.4])),
+}
 
 
-@pytest.mark.long
-def test_outline_of_spheres_is_that_of_their_union():
-    spheres = pj.Spheres([[0.0, 0, 0], [0.6, 0.2, 0.3]], [0.5, 0.4])
-    union = sphere_union(CAMERA, spheres.centers, spheres.radii)
-    lines = shapely.linestrings(plot.outline(CAMERA, pj.Scene(spheres=spheres)))
-    np.testing.assert_allclose(np.sum(shapely.length(lines)), union.boundary.length, rtol=0.02)
-    assert np.max(shapely.distance(lines, union.boundary)) < 0.1
+@pytest.mark.parametrize("name", ["bumpy", "torus", "box", long("spheres")])
+def test_outline_is_that_of_the_union(name):
+    mesh, spheres = BODIES[name].mesh, BODIES[name].spheres
+    polygons = mesh_polygons(CAMERA, mesh.vertices, mesh.faces) if mesh else []
+    polygons += sphere_polygons(CAMERA, spheres.centers, spheres.radii) if spheres else []
+    boundary = shapely.union_all(polygons).boundary
+    lines = shapely.linestrings(plot.outline(CAMERA, BODIES[name]))
+    assert_allclose(np.sum(shapely.length(lines)), boundary.length, rtol=0.02)
+    assert np.max(shapely.distance(lines, boundary)) < 0.1
+    assert np.max(shapely.length(lines)) <= STEP_PX + 1e-9
 
 
 @pytest.mark.long
@@ -87,8 +86,7 @@ FOCAL = 40 / np.tan(0.3)
 
 def fit_of(camera, names, std, history=()):
     """Return a fit as if it had found this camera, with independent errors."""
-    covariance = np.diag(np.square(std))
-    return pj.Fit(camera, "converged", names, covariance, 0.0, 1.0, (), history=history)
+    return fit_at(camera, np.diag(np.square(std)), names, history=history)
 
 
 @pytest.mark.long
@@ -109,8 +107,8 @@ def test_outline_sigma_is_measured_across_the_outline(name, std, across_sides, a
     upright = np.abs(np.diff(segments[..., 1], axis=1)[:, 0]) > 1e-6
     assert 0 < upright.sum() < len(upright) == len(sigma)
     if across_sides is not None:
-        np.testing.assert_allclose(sigma[upright], across_sides, rtol=0.01, atol=1e-12)
-    np.testing.assert_allclose(sigma[~upright], across_foot, rtol=0.01, atol=1e-12)
+        assert_allclose(sigma[upright], across_sides, rtol=0.01, atol=1e-12)
+    assert_allclose(sigma[~upright], across_foot, rtol=0.01, atol=1e-12)
 
 
 @pytest.mark.long
@@ -134,7 +132,7 @@ def test_outline_of_spheres_has_a_sigma():
     ball = pj.Scene(spheres=pj.Spheres([[0.0, 0, 0]], [1.0]))
     sigma = plot.outline_sigma(fit_of(AHEAD, ("rotation_v", "e_z"), [1e-3, 0.01]), ball)
     # tan of the cone's half angle: 1 / sqrt(z^2 - 1).
-    np.testing.assert_allclose(sigma, FOCAL * 5 / 24**1.5 * 0.01, rtol=0.01)
+    assert_allclose(sigma, FOCAL * 5 / 24**1.5 * 0.01, rtol=0.01)
 
 
 def test_band_is_drawn_and_a_window_shows_a_part():
@@ -180,14 +178,14 @@ def way_to(camera):
 def test_convergence_in_px_by_steps_and_levels():
     fit = fit_of(AHEAD, ("e_x",), [0.01], way_to(AHEAD))
     off = np.array([1, 0.3, 0.1, 0]) * FOCAL / 5
-    np.testing.assert_allclose(plot.off_px(fit, SQUARE), off, atol=1e-9)
+    assert_allclose(plot.off_px(fit, SQUARE), off, atol=1e-9)
     assert [(last - first, last) for _, first, last in plot.levels(fit)] == [(2, 2), (1, 3)]
     svg = plot.convergence(fit, SQUARE)
     tree = ElementTree.fromstring(svg)
     found = lambda tag: tree.findall(f"{{http://www.w3.org/2000/svg}}{tag}")
     x, y = np.array([p.split(",") for p in found("polyline")[0].get("points").split()], float).T
     assert np.all(np.diff(y) > 0)
-    np.testing.assert_allclose(np.diff(x) / np.ptp(x), [0.3, 0.4, 0.3], atol=1e-3)
+    assert_allclose(np.diff(x) / np.ptp(x), [0.3, 0.4, 0.3], atol=1e-3)
     bands = [rect[0].text for rect in found("rect")]
     assert bands == ["48 x 40 pixels: 7 steps", "96 x 80 pixels: 3 steps"]
     assert svg.count("<circle") == 4

@@ -5,36 +5,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from chosen import first, long, on_cpu
+from numpy.testing import assert_allclose, assert_array_equal
 
 import pinhole_jax as pj
 from pinhole_jax import plot
 from pinhole_jax._camera.bent import bent, straightened
 from pinhole_jax._camera.camera import camera_coordinates, to_camera
-from pinhole_jax._numerics.pointwise import SIZES, padded, room
 
 LENS = pj.Lens([23.0, 21.0], 1.0, pj.BrownConrady(0.1, 0.02, 1e-3, -2e-3, 0.0))
 PLAIN = pj.Camera([0.3, 0.2, 4.0], [0.1, 0, 0], [0, 1, 0], 0.7, 1.0, 48, 40)
 BENT = PLAIN.replace(lens=LENS)
 RANDOM = np.random.default_rng(7)
-
-
-def test_rooms_are_few_and_hold_what_they_are_for():
-    numbers = np.arange(1, 70_000)
-    rooms = np.array([room(int(n)) for n in numbers])
-    assert np.all(rooms >= numbers)
-    assert np.all(np.diff(rooms) >= 0)
-    large = numbers > SIZES[-1]
-    assert np.all(rooms[large] <= 1.25 * numbers[large])
-    assert len(set(rooms)) == len(SIZES) + 4 * 4 + 1  # four octaves, and the begin of a fifth
-    assert all(room(int(n)) == n for n in set(rooms))
-
-
-def test_padding_repeats_the_first_row_or_a_value():
-    points = RANDOM.standard_normal((3, 2))
-    np.testing.assert_array_equal(padded(points, 5)[3:], points[[0, 0]])
-    np.testing.assert_array_equal(padded(points, 5, 0)[3:], 0)
-    assert padded(points, 3) is points
-    assert padded(np.float32([[1]]), 2, 0).dtype == np.float32
 
 
 @pytest.mark.parametrize(
@@ -48,7 +29,7 @@ def test_points_are_where_a_program_of_their_own_has_them(camera, shape):
         found = ours(camera, points)
         assert isinstance(found, jax.Array)
         assert found.shape == (*shape, found.shape[-1])
-        np.testing.assert_allclose(found, jax.jit(own)(camera, points), rtol=1e-14, atol=1e-13)
+        assert_allclose(found, jax.jit(own)(camera, points), rtol=1e-14, atol=1e-13)
 
 
 def test_no_points_are_projected_to_none():
@@ -60,7 +41,7 @@ def test_point_that_is_not_finite_changes_no_other():
     points = RANDOM.standard_normal((5, 3))
     whole = np.asarray(pj.project(BENT, points))
     points[0] = np.nan  # what is filled up is like it
-    np.testing.assert_array_equal(np.asarray(pj.project(BENT, points))[1:], whole[1:])
+    assert_array_equal(np.asarray(pj.project(BENT, points))[1:], whole[1:])
 
 
 def test_type_of_points_is_kept():
@@ -76,13 +57,13 @@ def test_lens_bends_and_straightens_points():
     assert bent(PLAIN, ideal) is ideal
     seen = bent(BENT, ideal)
     assert 0.01 < np.max(np.abs(seen - ideal)) < 10
-    np.testing.assert_allclose(straightened(BENT, seen), ideal, atol=1e-9)
+    assert_allclose(straightened(BENT, seen), ideal, atol=1e-9)
     # By the rays, which undistort film points: an ideal point lies where its ray does.
     film = [10.5, 30.5]
     direction = np.asarray(pj.rays_through(BENT, film).direction)
     ideal = BENT.replace(lens=pj.Lens(LENS.principal_point))
     there = pj.project(ideal, np.asarray(BENT.e) + 2 * direction)
-    np.testing.assert_allclose(straightened(BENT, np.array([film]))[0], there, atol=1e-9)
+    assert_allclose(straightened(BENT, np.array([film]))[0], there, atol=1e-9)
 
 
 def test_derivatives_pass():
@@ -91,10 +72,10 @@ def test_derivatives_pass():
     slope = jax.jit(jax.vmap(jax.jacfwd(project)))(points)
     for k, step in enumerate(h * np.eye(3)):
         change = (np.asarray(project(points + step)) - project(points - step)) / (2 * h)
-        np.testing.assert_allclose(slope[..., k], change, rtol=1e-6, atol=1e-6)
+        assert_allclose(slope[..., k], change, rtol=1e-6, atol=1e-6)
     x, y, z = points[0]
     of_a_list = jax.grad(lambda z: project([x, y, z])[1])(z)
-    np.testing.assert_allclose(of_a_list, slope[0, 1, 2], rtol=1e-12)
+    assert_allclose(of_a_list, slope[0, 1, 2], rtol=1e-12)
 
 
 @on_cpu
@@ -120,8 +101,8 @@ def test_rays_in_a_row_hit_the_same_among_others(origins):
         hit = pj.trace(scene, rays)
         assert hit.normal.shape == (number, 3)
         for ours, theirs in zip(hit, whole, strict=True):
-            np.testing.assert_array_equal(ours, theirs[:number])
-        np.testing.assert_array_equal(pj.occluded(scene, rays), np.isfinite(hit.t))
+            assert_array_equal(ours, theirs[:number])
+        assert_array_equal(pj.occluded(scene, rays), np.isfinite(hit.t))
 
 
 @on_cpu

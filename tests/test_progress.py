@@ -8,12 +8,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from oracles import usual_camera
 
 import pinhole_jax as pj
 from pinhole_jax._files import progress
 from pinhole_jax._files.progress import Ticker, say, shown
 
-CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 48, 40)
+CAMERA = usual_camera(48, 40)
 SCENE = pj.Scene(mesh=pj.shapes.bumpy(2))
 
 

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 import pinhole_jax as pj
 
@@ -24,12 +25,12 @@ def test_pixel_centres_and_row_order_by_hand():
     assert rays.origin.shape == (3,)
     assert rays.direction.shape == (2, 4, 3)
     # Pixel (0, 0) is bottom left: centre (1/2, 1/2) px, that is x = -2 + 1/2, y = -1 + 1/2.
-    np.testing.assert_allclose(rays.direction[1, 0], unit(-1.5, -0.5, -1), rtol=1e-14)
+    assert_allclose(rays.direction[1, 0], unit(-1.5, -0.5, -1), rtol=1e-14)
     # image[H-1-j, i]: the top row holds the largest y, the last column the largest x.
-    np.testing.assert_allclose(rays.direction[0, 3], unit(1.5, 0.5, -1), rtol=1e-14)
-    np.testing.assert_allclose(rays.direction[0, 1], unit(-0.5, 0.5, -1), rtol=1e-14)
-    np.testing.assert_allclose(np.linalg.norm(rays.direction, axis=-1), 1, rtol=1e-14)
-    np.testing.assert_array_equal(rays.direction, pj.camera_rays(CAMERA).direction)
+    assert_allclose(rays.direction[0, 3], unit(1.5, 0.5, -1), rtol=1e-14)
+    assert_allclose(rays.direction[0, 1], unit(-0.5, 0.5, -1), rtol=1e-14)
+    assert_allclose(np.linalg.norm(rays.direction, axis=-1), 1, rtol=1e-14)
+    assert_array_equal(rays.direction, pj.camera_rays(CAMERA).direction)
 
 
 def test_film_is_centred_on_the_axis_and_d_changes_no_direction():
@@ -37,21 +38,21 @@ def test_film_is_centred_on_the_axis_and_d_changes_no_direction():
     plain = pj.camera_rays(CAMERA).direction
     for change in ({"p": E + 0.01 * (P - E)}, {"p": E + 7 * (P - E)}, {"d": 0.1}, {"d": 40.0}):
         other = pj.camera_rays(CAMERA.replace(**change)).direction
-        np.testing.assert_allclose(other, plain, rtol=1e-14, atol=1e-15)
+        assert_allclose(other, plain, rtol=1e-14, atol=1e-15)
     single = [np.asarray(x, np.float32) for x in (E, P, U, PHI)]
     for d in (1e-30, 1e30):  # squares of d would not be float32 numbers
         rays = pj.generate_rays(*single, np.float32(d), *SIZE)
         assert rays.direction.dtype == jnp.float32
-        np.testing.assert_allclose(rays.direction, plain, atol=1e-6)
+        assert_allclose(rays.direction, plain, atol=1e-6)
 
 
 def test_samples_are_cell_centres_by_hand():
     rays = pj.generate_rays(E, P, U, PHI, D, *SIZE, samples=2)
     assert rays.direction.shape == (2, 4, 4, 3)
     # Pixel (0, 0), its lower left cell: (1/4, 1/4) px; then (3/4, 1/4), (1/4, 3/4), (3/4, 3/4).
-    np.testing.assert_allclose(rays.direction[1, 0, 0], unit(-1.75, -0.75, -1), rtol=1e-14)
-    np.testing.assert_allclose(rays.direction[1, 0, 1], unit(-1.25, -0.75, -1), rtol=1e-14)
-    np.testing.assert_allclose(rays.direction[1, 0, 2], unit(-1.75, -0.25, -1), rtol=1e-14)
+    assert_allclose(rays.direction[1, 0, 0], unit(-1.75, -0.75, -1), rtol=1e-14)
+    assert_allclose(rays.direction[1, 0, 1], unit(-1.25, -0.75, -1), rtol=1e-14)
+    assert_allclose(rays.direction[1, 0, 2], unit(-1.75, -0.25, -1), rtol=1e-14)
 
 
 def test_stratified_samples_stay_in_their_cells():
@@ -70,16 +71,16 @@ def test_project_undoes_rays(lens):
     camera = SKEW.replace(lens=lens)
     centres = np.stack(np.meshgrid(np.arange(4) + 0.5, np.arange(2)[::-1] + 0.5), axis=-1)
     through = pj.rays_through(camera, centres)
-    np.testing.assert_allclose(np.linalg.norm(through.direction, axis=-1), 1, rtol=1e-14)
+    assert_allclose(np.linalg.norm(through.direction, axis=-1), 1, rtol=1e-14)
     for direction in (pj.camera_rays(camera).direction, through.direction):
         film = pj.project(camera, np.asarray(camera.e) + 3 * np.asarray(direction))
-        np.testing.assert_allclose(film, centres, atol=1e-13)
+        assert_allclose(film, centres, atol=1e-13)
 
 
 def test_project_by_hand():
     # One unit up at distance 5: y = 1/5 of the half film height (1 px) above the centre (2, 1).
-    np.testing.assert_allclose(pj.project(CAMERA, [0.0, 1, 0]), [2, 1.2])
-    np.testing.assert_allclose(pj.project(CAMERA, [[1.0, 0, 0]]), [[2.2, 1]])
+    assert_allclose(pj.project(CAMERA, [0.0, 1, 0]), [2, 1.2])
+    assert_allclose(pj.project(CAMERA, [[1.0, 0, 0]]), [[2.2, 1]])
 
 
 def test_project_is_differentiable_at_the_eye_plane():

@@ -11,6 +11,7 @@ import pytest
 import stress
 from chosen import first
 from hypothesis import HealthCheck, given, settings, strategies as st
+from numpy.testing import assert_allclose
 
 import pinhole_jax as pj
 
@@ -69,17 +70,7 @@ def test_moving_or_scaling_camera_and_scene_together_changes_nothing(seed):
     shift, scale = random.normal(size=3), 10 ** random.uniform(-8, 8)
     to = lambda x: scale * (x @ turn.T + shift)
     moved = v._replace(vertices=to(v.vertices), e=to(v.e), p=to(v.p), u=v.u @ turn.T, d=scale)
-    np.testing.assert_allclose(image(moved), image(v), atol=1e-9)
-
-
-@pytest.mark.long
-@few
-@given(seed=SEEDS)
-def test_mirrored_scenes_give_mirrored_images(seed):
-    _, v = drawn(seed)
-    flip = np.array([-1, 1, 1])
-    mirrored = v._replace(vertices=v.vertices * flip, e=v.e * flip, p=v.p * flip, u=v.u * flip)
-    np.testing.assert_allclose(image(mirrored), image(v)[:, ::-1], atol=1e-11)
+    assert_allclose(image(moved), image(v), atol=1e-9)
 
 
 @pytest.mark.long
@@ -90,37 +81,9 @@ def test_order_of_faces_and_vertices_does_not_matter(seed):
     order = random.permutation(len(v.vertices))
     faces = np.argsort(order)[v.faces]
     faces = np.roll(faces, random.integers(3), axis=1)[random.permutation(len(faces))]
-    np.testing.assert_allclose(
+    assert_allclose(
         image(v._replace(vertices=v.vertices[order], faces=faces)), image(v), atol=1e-11
     )
-
-
-@pytest.mark.long
-@few
-@given(seed=SEEDS)
-def test_union_covers_no_less_than_its_parts(seed):
-    random, v = drawn(seed)
-    other = stress.usual(random)
-    faces = np.concatenate([v.faces, other.faces + len(v.vertices)])
-    vertices = np.concatenate([v.vertices, other.vertices])
-    both = image(v._replace(vertices=vertices, faces=faces))
-    parts = [image(v), image(v._replace(vertices=other.vertices, faces=other.faces))]
-    assert np.all(both >= np.maximum(*parts) - 1e-12)
-    assert np.all(both <= np.minimum(parts[0] + parts[1], 1) + 1e-12)
-
-
-@pytest.mark.long
-@few
-@given(seed=SEEDS)
-def test_four_pixels_are_one_of_half_the_resolution(seed):
-    _, v = drawn(seed)
-    camera, vertices = stress.rounded(v, np.float64)
-    scene = stress.scene_of(v, vertices)
-    W, H = camera.W, camera.H
-    numbers = (camera.e, camera.p, camera.u, camera.phi, camera.d)
-    fine = np.asarray(pj.silhouette(pj.Camera(*numbers, 2 * W, 2 * H), scene))
-    coarse = fine.reshape(H, 2, W, 2).mean(axis=(1, 3))
-    np.testing.assert_allclose(pj.silhouette(camera, scene), coarse, atol=1e-9)
 
 
 @eqx.filter_jit
@@ -146,4 +109,4 @@ def test_derivatives_are_finite_and_know_no_origin(name, seed):
     along = np.asarray(mesh.vertices if spheres is None else spheres.centers)
     eye, aim = np.asarray(d_camera.e), np.asarray(d_camera.p)
     scale = max(np.abs(x).sum(axis=0).max() for x in (along, eye, aim))
-    np.testing.assert_allclose(along.sum(axis=0), -(eye + aim), atol=1e-8 * scale)
+    assert_allclose(along.sum(axis=0), -(eye + aim), atol=1e-8 * scale)

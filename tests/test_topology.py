@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 import trimesh
-from oracles import mesh_coverage
+from numpy.testing import assert_allclose
+from oracles import mesh_coverage, usual_camera
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._scene.scene import padded
-from pinhole_jax._scene.topology import by_place
 
-CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
+CAMERA = usual_camera()
 BODY = shapes.bumpy(2)
 VERTICES, FACES = np.asarray(BODY.vertices), np.asarray(BODY.faces)
 
@@ -99,7 +99,7 @@ def test_faces_without_area_hand_their_edges_on():
     assert mesh.closed
     assert np.all(area[np.asarray(mesh.edge_faces)] > 0)
     image = pj.silhouette(CAMERA, pj.Scene(mesh=mesh))
-    np.testing.assert_allclose(image, mesh_coverage(CAMERA, vertices, faces), atol=1e-12)
+    assert_allclose(image, mesh_coverage(CAMERA, vertices, faces), atol=1e-12)
 
 
 @pytest.mark.long
@@ -117,11 +117,11 @@ def test_faces_without_area_at_a_border_are_no_border():
     first, second = np.asarray(mesh.edge_faces).T
     assert np.all(first <= 1)  # a face with area
     sides = np.diff(vertices[np.asarray(mesh.edge_vertices)[second < 0]], axis=1)
-    np.testing.assert_allclose(np.sum(np.linalg.norm(sides, axis=-1)), 8)  # each border once
+    assert_allclose(np.sum(np.linalg.norm(sides, axis=-1)), 8)  # each border once
     # (Filled up, both share a program.)
     plain, scene = (padded(pj.Scene(mesh=m)) for m in (pj.Mesh(corners, faces[:2]), mesh))
     target = np.asarray(pj.silhouette(CAMERA, plain))
-    np.testing.assert_allclose(pj.silhouette(CAMERA, scene), target, atol=1e-13)
+    assert_allclose(pj.silhouette(CAMERA, scene), target, atol=1e-13)
 
 
 def test_long_row_of_faces_without_area_is_removed():
@@ -133,34 +133,3 @@ def test_long_row_of_faces_without_area_is_removed():
     faces = np.concatenate([[[0, n, n + 1]], np.stack([0 * k, k, k + 1], axis=1)])
     mesh = pj.Mesh(vertices, faces)
     assert np.all(np.asarray(mesh.edge_faces)[:, 0] == 0)
-
-
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
-@pytest.mark.parametrize("kind", ["grid", "ties in x and y", "any", "far in float64"])
-def test_points_are_put_in_order_of_place(kind, dtype):
-    random = np.random.default_rng(0)
-    points = {
-        "grid": random.integers(-3, 3, (500, 3)) * -1.0,  # (0 and -0 are one place)
-        "ties in x and y": np.column_stack(
-            [random.integers(0, 2, (300, 2)), random.normal(size=300)]
-        ),
-        "any": random.normal(size=(300, 3)),
-        "far in float64": 1e300 * random.integers(-2, 3, (200, 3)),
-    }[kind]
-    if kind == "far in float64" and dtype == np.float32:
-        points = points * 1e-263  # what float32 holds
-    points = points.astype(dtype)
-    order, first = by_place(points)
-    assert np.array_equal(np.sort(order), np.arange(len(points)))
-    expected = np.lexsort(points.T[::-1])
-    np.testing.assert_array_equal(points[order], points[expected])
-    np.testing.assert_array_equal(points[order[first]], np.unique(points, axis=0))
-    again, single = by_place(points[order[first]])  # they ascend already
-    np.testing.assert_array_equal(again, np.arange(int(first.sum())))
-    assert np.all(single)
-
-
-def test_points_may_be_none_or_one():
-    for number in (0, 1):
-        order, first = by_place(np.zeros((number, 3)))
-        assert len(order) == len(first) == number

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 import trimesh
 from chosen import full
-from oracles import central_difference
+from numpy.testing import assert_allclose, assert_array_equal
+from oracles import central_difference, usual_camera
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
 
-CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 24, 20)
+CAMERA = usual_camera(24, 20)
 
 
 @pytest.fixture(scope="module")
@@ -64,11 +65,11 @@ def test_same_hits_as_embree(name, rays, request):
         distance, _ = edge_distance(vertices, faces, origin[on], direction[on], found[on])
         clear[on] &= distance > 1e-6
     assert clear.mean() > 0.99
-    np.testing.assert_array_equal((ours >= 0)[clear], (theirs >= 0)[clear])
+    assert_array_equal((ours >= 0)[clear], (theirs >= 0)[clear])
     # Embree's t is float32's: compare with the plane of the face that Embree found, in float64.
     both = clear & (ours >= 0)
     _, t = edge_distance(vertices, faces, origin[both], direction[both], theirs[both])
-    np.testing.assert_allclose(np.asarray(hit.t)[both], t, rtol=1e-6)
+    assert_allclose(np.asarray(hit.t)[both], t, rtol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -115,12 +116,12 @@ def test_hits_are_those_worked_out_by_hand():
     origin, direction, t, primitive, normal = zip(*BY_HAND.values(), strict=True)
     rays = pj.Rays(jnp.array(origin), jnp.array(direction))
     hit = pj.trace(pj.Scene(mesh=TRIANGLE, spheres=spheres), rays)
-    np.testing.assert_allclose(hit.t, t, rtol=1e-12)
+    assert_allclose(hit.t, t, rtol=1e-12)
     assert hit.primitive.tolist() == [*primitive]
-    np.testing.assert_allclose(hit.normal, normal, atol=1e-12)
+    assert_allclose(hit.normal, normal, atol=1e-12)
     # (0.5, 0.25) = 0.625 a + 0.25 b + 0.125 c
-    np.testing.assert_allclose(hit.barycentric[:2], [[0.625, 0.25, 0.125]] * 2, atol=1e-15)
-    np.testing.assert_allclose(hit.barycentric[3:], 0, atol=1e-15)
+    assert_allclose(hit.barycentric[:2], [[0.625, 0.25, 0.125]] * 2, atol=1e-15)
+    assert_allclose(hit.barycentric[3:], 0, atol=1e-15)
 
 
 @pytest.mark.long
@@ -131,7 +132,7 @@ def test_small_spheres_far_away_keep_their_digits_in_float32(distance):
     rays = pj.Rays(origin, jnp.array([0, 0, -1], jnp.float32))
     scene = pj.Scene(spheres=pj.Spheres(np.zeros((1, 3), np.float32), np.ones(1, np.float32)))
     exact = distance - np.sqrt(0.75)
-    np.testing.assert_allclose(pj.trace(scene, rays).t, exact, rtol=2e-7)
+    assert_allclose(pj.trace(scene, rays).t, exact, rtol=2e-7)
 
 
 @pytest.mark.long
@@ -158,7 +159,7 @@ def test_derivatives_of_hits_equal_central_differences():
         others = lambda s, k=k, way=way: [*values[:k], values[k] + s * way, *values[k + 1 :]]
         wanted = central_difference(lambda s, others=others: both(*others(s))[0], 0.0, 1e-7)
         assert np.all(np.isfinite(slope))
-        np.testing.assert_allclose(np.sum(slope * way), wanted, rtol=2e-5, atol=2e-5)
+        assert_allclose(np.sum(slope * way), wanted, rtol=2e-5, atol=2e-5)
 
 
 @pytest.mark.long
@@ -182,9 +183,9 @@ def test_camera_stands_for_its_rays():
         seen, traced = pj.trace(scene, camera), pj.trace(scene, pj.camera_rays(camera))
         assert seen.t.shape == (18, 22)
         assert {int(k) for k in np.unique(seen.primitive)} > {-1, 80}
-        np.testing.assert_array_equal(seen.primitive, traced.primitive)
-        np.testing.assert_allclose(seen.t, traced.t, rtol=1e-13)
-        np.testing.assert_array_equal(pj.occluded(scene, camera), np.isfinite(seen.t))
+        assert_array_equal(seen.primitive, traced.primitive)
+        assert_allclose(seen.t, traced.t, rtol=1e-13)
+        assert_array_equal(pj.occluded(scene, camera), np.isfinite(seen.t))
 
 
 def test_unknown_search_is_refused():

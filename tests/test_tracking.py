@@ -5,11 +5,11 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from oracles import drawn, turned
+from oracles import drawn, turned, usual_camera
 
 import pinhole_jax as pj
 
-CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 48, 40)
+CAMERA = usual_camera(48, 40)
 SCENE = pj.Scene(mesh=pj.shapes.bumpy(2))
 
 

@@ -4,40 +4,37 @@ import re
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
+from results import fit_at
 
 import pinhole_jax as pj
 from pinhole_jax import plot
 
 CAMERA = pj.Camera([0, 0, 5.0], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 96, 80)
 SCENE = pj.Scene(mesh=pj.shapes.bumpy(2))
-NAMES = ("rotation_b1", "rotation_b2", "rotation_v", "e_x", "e_y", "e_z", "phi")
-
-
-def fit_at(names, covariance):
-    return pj.Fit(CAMERA, "converged", names, covariance, 0.0, 1.0, (1,))
 
 
 def test_roll_shows_by_the_distance_from_the_middle():
-    trust = plot.trust(fit_at(("rotation_v",), np.array([[1e-6]])), SCENE)
+    trust = plot.trust(fit_at(CAMERA, np.array([[1e-6]]), ("rotation_v",)), SCENE)
     radius = np.linalg.norm(trust.places - [48, 40], axis=1)
-    np.testing.assert_allclose(trust.film, 1e-3 * radius, rtol=1e-4)
+    assert_allclose(trust.film, 1e-3 * radius, rtol=1e-4)
     vertices = np.asarray(SCENE.mesh.vertices)
     assert trust.object == pytest.approx(1e-3 * np.hypot(*vertices[:, :2].T).max(), rel=1e-4)
-    np.testing.assert_allclose(trust.point, vertices[np.hypot(*vertices[:, :2].T).argmax()])
+    assert_allclose(trust.point, vertices[np.hypot(*vertices[:, :2].T).argmax()])
 
 
 def test_shift_shows_alike_at_one_depth():
-    trust = plot.trust(fit_at(("e_x",), np.array([[1e-4]])), SCENE)
+    trust = plot.trust(fit_at(CAMERA, np.array([[1e-4]]), ("e_x",)), SCENE)
     depth = 5 - np.asarray(SCENE.mesh.vertices)[:, 2].mean()
     px = 0.01 * 40 / np.tan(0.3) / depth
-    np.testing.assert_allclose(trust.film, px, rtol=1e-4)
+    assert_allclose(trust.film, px, rtol=1e-4)
     assert trust.object == pytest.approx(0.01, rel=1e-4)
 
 
 def test_errors_together_are_those_of_draws():
     random = np.random.default_rng(0)
     mix = random.normal(size=(7, 7)) * 1e-3
-    fit = fit_at(NAMES, mix @ mix.T)
+    fit = fit_at(CAMERA, mix @ mix.T)
     trust = plot.trust(fit, SCENE)
     worst = int(np.argmin(np.linalg.norm(np.asarray(SCENE.mesh.vertices) - trust.point, axis=1)))
     points = []
@@ -51,11 +48,11 @@ def test_errors_together_are_those_of_draws():
 
 def test_picture_names_its_bands_and_stays_with_what_is_determined():
     lost = np.diag([np.inf, 1e-6])
-    trust = plot.trust(fit_at(("rotation_b1", "rotation_v"), lost), SCENE)
+    trust = plot.trust(fit_at(CAMERA, lost, ("rotation_b1", "rotation_v")), SCENE)
     assert np.all(np.isfinite(trust.film))
     bands = [float(x) for x in re.findall(r">([\d.e-]+) px</text>", trust._repr_svg_())]
     assert bands == sorted(bands)
     assert bands[-1] >= trust.film.max()
     assert "units of the mesh" in str(trust)
-    nothing = plot.trust(fit_at(("rotation_b1",), np.array([[np.inf]])), SCENE)
+    nothing = plot.trust(fit_at(CAMERA, np.array([[np.inf]]), ("rotation_b1",)), SCENE)
     assert nothing.object == 0

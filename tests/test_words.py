@@ -1,10 +1,12 @@
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from oracles import deviates
+from results import fit_at
 
 import pinhole_jax as pj
 from pinhole_jax._fit.words import in_digits, parameter_table
-from pinhole_jax._solver.heading import carried, heading
+from pinhole_jax._solver.heading import heading
 from pinhole_jax._solver.moves import displaced
 
 TURNS = ("rotation_b1", "rotation_b2", "rotation_v")
@@ -28,8 +30,7 @@ def test_number_has_the_digits_that_its_error_allows(value, std, text):
 def test_fit_prints_as_a_table():
     camera = pj.Camera([1, 2, 5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 64, 48)
     names = ("rotation_b1", "e_x", "phi")
-    std = np.array([1e-3, 1e-4, 1e-5])
-    other = pj.Fit(camera, "converged", names, np.diag(std**2), 0.01, 0.99, (3,))
+    other = fit_at(camera, np.diag([1e-6, 1e-8, 1e-10]), names)
     fit = other._replace(status="ambiguous", weak=("the distance",), modes=(other,))
     lines = str(fit).splitlines()
     assert [line.split() for line in lines[1:4]] == [
@@ -67,7 +68,7 @@ def looking(forward, up):
 )
 def test_pitch_yaw_and_roll(forward, up, angles, axes):
     looks = heading(looking(forward, up))
-    np.testing.assert_allclose(np.rad2deg(looks.angles), angles, atol=1e-9)
+    assert_allclose(np.rad2deg(looks.angles), angles, atol=1e-9)
     assert (looks.up, looks.ahead) == axes
 
 
@@ -76,46 +77,24 @@ def random_camera(random):
     return pj.Camera(e, p, u, 0.6, 1.0, 64, 48)
 
 
-@pytest.mark.parametrize("seed", range(8))
-def test_derivative_of_pitch_yaw_and_roll_equals_differences(seed):
-    random = np.random.default_rng(seed)
-    camera = random_camera(random)
-    moved = lambda step: heading(displaced(camera, TURNS, step)).angles
-    h = 1e-5 * np.eye(3)
-    change = np.stack([moved(step) - moved(-step) for step in h], axis=1) / 2e-5
-    np.testing.assert_allclose(heading(camera).derivative, change, rtol=1e-6, atol=1e-8)
-    assert np.linalg.cond(change) < 5  # two axes never come together
-
-
 def test_rotations_have_values_and_sigmas():
     camera = pj.Camera([1, 2, 5], [0, 0, 0], [0.3, 1, 0], 0.6, 1.0, 64, 48)
     random = np.random.default_rng(0)
     root = 1e-3 * random.normal(size=(4, 4))
     covariance, names = root @ root.T, (*TURNS, "e_x")
-    fit = pj.Fit(camera, "converged", names, covariance, 0.01, 0.99, (3,))
-    rows = parameter_table(fit).rows
+    rows = parameter_table(fit_at(camera, covariance, names)).rows
     assert [row.name for row in rows] == ["pitch", "yaw", "roll", "e_x"]
     draws = deviates(random, 200, 4) @ root.T
     angles = [heading(displaced(camera, names, step)).angles for step in draws]
     ratio = [row.std for row in rows[:3]] / np.rad2deg(np.std(angles, axis=0))
-    np.testing.assert_allclose(ratio, 1, atol=0.01)
-    np.testing.assert_allclose(
-        [row.value for row in rows[:3]], np.rad2deg(np.mean(angles, 0)), atol=0.02
-    )
-
-
-def test_unknown_parameters_make_dependents_unknown():
-    covariance = np.array([[1.0, np.nan], [np.nan, np.inf]])
-    found = carried(covariance, np.array([[2.0, 0.0], [1.0, 1.0], [0.0, 0.0]]))
-    np.testing.assert_array_equal(found[:2, :2], [[4, np.nan], [np.nan, np.inf]])
-    assert found[2, 2] == 0
+    assert_allclose(ratio, 1, atol=0.01)
+    assert_allclose([row.value for row in rows[:3]], np.rad2deg(np.mean(angles, 0)), atol=0.02)
 
 
 def test_displaced_camera_is_a_step_of_each_parameter_away():
     camera = pj.Camera([0.0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, W=96, H=80)
     names = ("rotation_b2", "e_x", "phi")
-    std = np.array([0.01, 0.2, 0.03])
-    fit = pj.Fit(camera, "converged", names, np.diag(std**2), 0.0, 1.0, ())
+    fit = fit_at(camera, np.diag([1e-4, 0.04, 9e-4]), names)
     moved = fit.displaced([0.01, 0.2, 0.03])
     angle, shift = pj.pose_error(moved, camera)
     assert float(angle) == pytest.approx(0.01)
