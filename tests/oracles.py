@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import shapely
+from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
 
@@ -76,7 +77,7 @@ def clipped(corners: np.ndarray, planes) -> np.ndarray:
         crosses = (side > 0) != (after > 0)
         t = (side / np.where(crosses, side - after, 1))[:, None]
         both = np.stack([corners, corners + t * (ahead - corners)], axis=1)
-        corners = both.reshape(-1, 3)[np.stack([side > 0, crosses], axis=1).ravel()]
+        corners = both.reshape(-1, corners.shape[1])[np.stack([side > 0, crosses], axis=1).ravel()]
     return corners
 
 
@@ -129,22 +130,30 @@ def drawn(camera: pj.Camera, scene: pj.Scene) -> np.ndarray:
     return area_per_pixel(shapely.union_all(polygons), camera.W, camera.H)
 
 
+def rim(eye, center, radius, corners: int) -> np.ndarray:
+    """Return points (n, 3) of the circle in space where rays from the eye touch a sphere."""
+    axis = center - eye
+    distance = np.linalg.norm(axis)
+    axis = axis / distance
+    side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    side /= np.linalg.norm(side)
+    angle = np.linspace(0, 2 * np.pi, corners, endpoint=False)[:, None]
+    ring = np.cos(angle) * side + np.sin(angle) * np.cross(axis, side)
+    touch = np.sqrt(distance**2 - radius**2)
+    return eye + touch / distance * (touch * axis + radius * ring)
+
+
+def rims(camera: pj.Camera, centers, radii, corners: int) -> list[np.ndarray]:
+    """Return the `rim` of each sphere."""
+    eye, given = np.asarray(camera.e, float), (np.asarray(x, float) for x in (centers, radii))
+    return [rim(eye, *sphere, corners) for sphere in zip(*given, strict=True)]
+
+
 def sphere_polygons(camera: pj.Camera, centers, radii, corners: int = 20_000) -> list:
-    """Return the spheres' outlines, clipped at the frame: the circle in space where rays touch the
-    sphere, as a polygon of its image's area to 1e-7 relative."""
-    outlines = []
-    eye = np.asarray(camera.e, float)
-    for center, radius in zip(np.asarray(centers), np.asarray(radii), strict=True):
-        axis = center - eye
-        distance = np.linalg.norm(axis)
-        axis = axis / distance
-        side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-        side /= np.linalg.norm(side)
-        angle = np.linspace(0, 2 * np.pi, corners, endpoint=False)[:, None]
-        ring = np.cos(angle) * side + np.sin(angle) * np.cross(axis, side)
-        touch = np.sqrt(distance**2 - radius**2)
-        points = eye + touch / distance * (touch * axis + radius * ring)
-        outlines.append(clipped_polygon(homogeneous(camera, points), camera.W, camera.H))
+    """Return the spheres' outlines, clipped at the frame: polygons of their images' areas to 1e-7
+    relative."""
+    points = (homogeneous(camera, points) for points in rims(camera, centers, radii, corners))
+    outlines = [clipped_polygon(corners, camera.W, camera.H) for corners in points]
     return [outline for outline in outlines if outline is not None]
 
 
@@ -162,10 +171,8 @@ def central_difference(function, x: np.ndarray, step: float = 1e-5) -> np.ndarra
 
 def turned(camera: pj.Camera, axis, degrees: float, distance: float = 1.0, focal: float = 1.0):
     """Return the camera orbited about the origin; distance and focal length are multiples."""
-    axis = np.asarray(axis, float) / np.linalg.norm(axis)
-    angle = np.deg2rad(degrees)
-    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-    R = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+    turn = np.deg2rad(degrees) * np.asarray(axis) / np.linalg.norm(axis)
+    R = Rotation.from_rotvec(turn).as_matrix()
     e, p, u = (np.asarray(x, float) for x in (camera.e, camera.p, camera.u))
     eye = R @ e * distance
     phi = 2 * np.arctan(np.tan(float(camera.phi) / 2) / focal)

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import textwrap
 import time
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -126,26 +126,6 @@ def test_row_holds_the_whole_fit_for_any_format(rows, tmp_path):
     assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
 
 
-def test_window_of_a_picture_gives_the_camera_of_the_window(records, truths, tmp_path):
-    """(It cuts the object off, and is enlarged twice; K is that of the whole picture.)"""
-    K, R, t = truths[0]
-    left, top, W, H = 5, 3, 52, 56
-    window = io.load_image(records[0]["mask"])[top : top + H, left : left + W]
-    io.save_image(tmp_path / "mask.png", window.repeat(2, axis=0).repeat(2, axis=1))
-    io.save_image(tmp_path / "ones.png", np.ones((2 * H, 2 * W)))
-    (tmp_path / "k.json").write_text(json.dumps({"K": K.tolist()}))
-    cells = {"crop": f"{left} {top} {W} {H}", "resize": f"{W} {H}", "K": "k.json"}
-    cells |= {"id": "a", "mesh": records[0]["mesh"], "mask": "mask.png", "weight": "ones.png"}
-    (tmp_path / "set.csv").write_text(f"{','.join(cells)}\n{','.join(cells.values())}\n")
-    (record,) = batch.read_dataset(tmp_path / "set.csv")
-    row = batch.fit_one(record)
-    assert row["status"] == "converged", row["words"]
-    check_pose(row, R, t)
-    moved = np.array([[1, 0, 0.5 - left], [0, 1, 0.5 - top], [0, 0, 1]])  # the pixels' corner is 0
-    scaled = np.array([[2, 0, -0.5], [0, 2, -0.5], [0, 0, 1]]) @ moved @ K
-    assert_allclose(np.array(row["K"]).reshape(3, 3), scaled, atol=1e-9)
-
-
 @pytest.mark.parametrize("invert", [False, True])
 def test_run_lengths_are_as_good_as_a_picture(records, rows, invert):
     mask = io.load_mask(records[0]["mask"]) > 127
@@ -168,25 +148,6 @@ def test_run_lengths_as_pycocotools_gives_them_are_read():
         for shape in (size, tuple(size), np.array(size), [*np.array(size)]):
             found = io.mask_of_rle({"size": shape, "counts": counts})
             assert_array_equal(found, 255 * inside)
-
-
-@pytest.mark.parametrize(
-    ("rle", "words"),
-    [
-        ([[1.0, 1.0, 6.0, 1.0, 6.0, 4.0]], "got polygons; .*frPyObjects"),
-        (None, "got None"),
-        ({"size": [2, 2], "counts": [1.5, 2.5]}, "whole numbers"),
-        ({"size": [2, 2], "counts": b"\n"}, "pycocotools' text"),
-        ({"counts": [4]}, "`size` and `counts`"),
-        ({"size": [2, -2], "counts": [4]}, "`size`"),
-        ({"size": [2, 2], "counts": [3]}, "runs of 4 pixels, got 3"),
-        ({"size": [2, 2], "counts": [5, -1]}, "at least 0"),
-        ({"size": [2, 2], "counts": "\n"}, "pycocotools' text"),
-    ],
-)
-def test_run_lengths_that_are_none_are_refused(rle, words):
-    with pytest.raises(ValueError, match=f"`rle`.*{words}"):
-        io.mask_of_rle(rle)
 
 
 @pytest.fixture
@@ -542,32 +503,6 @@ def test_shards_make_the_whole(records, rows, tmp_path):
         with ThreadPoolExecutor(1) as threads:
             batch.fit_many(records, executor=threads, out=tmp_path, shard=(k + 1, 3))
     assert all(same(a, b) for a, b in zip(batch.Results(tmp_path), rows, strict=True))
-
-
-class Failing(Executor):
-    """Raises for the records of some ids, each a given number of times."""
-
-    def __init__(self, times):
-        self.times, self.asked = dict(times), []
-
-    def submit(self, function, /, record, *rest):
-        future = Future()
-        self.asked.append(record["id"])
-        if self.times.get(record["id"], 0):
-            self.times[record["id"]] -= 1
-            future.set_exception(OSError("the worker is gone"))
-        else:
-            future.set_result(function(record, *rest))
-        return future
-
-
-def test_records_that_the_executor_loses_are_retried_once():
-    items = [{"id": id, "mesh": "none", "mask": "none"} for id in "abc"]
-    executor = Failing({"a": 1, "b": 2})
-    found = batch.fit_many(items, executor=executor, workers=1)
-    assert [row["status"] for row in found] == ["failed", "crashed", "failed"]
-    assert "the worker is gone" in found[1]["words"]
-    assert sorted(executor.asked) == ["a", "a", "b", "b", "c"]
 
 
 def test_executor_that_is_shut_down_is_named():

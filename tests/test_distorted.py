@@ -12,7 +12,7 @@ import test_grid
 from chosen import first
 from jax.flatten_util import ravel_pytree
 from numpy.testing import assert_allclose
-from oracles import central_difference, union_per_pixel
+from oracles import central_difference, clipped, rims, union_per_pixel
 from slopes import both_ways
 from test_distortion import by_opencv
 
@@ -49,7 +49,11 @@ def bent_polygon(view, corners, number):
 def dense(view, mesh, number=1000):
     """Return the union of the triangles."""
     corners = np.asarray(mesh.vertices, float)[np.asarray(mesh.faces)]
-    return union_per_pixel([bent_polygon(view, x, number) for x in corners], view.W, view.H)
+    return union_of(view, corners, number)
+
+
+def union_of(view, polygons, number):
+    return union_per_pixel([bent_polygon(view, x, number) for x in polygons], view.W, view.H)
 
 
 CASES = {
@@ -86,24 +90,13 @@ def test_sheets_on_the_pixel_grid():
 def test_scene_through_the_eye_plane_is_clipped():
     """The far ends lie behind: what is seen is cut off where the lens sees no more."""
     view, mesh = camera(*CASES["brown"], distance=0.7), sheet(3.0)
-    cut = pj.Mesh(*_in_front(view, mesh, 0.02))
     image = silhouette(view, pj.Scene(mesh=mesh))
-    assert_allclose(image, dense(view, cut, 3000), atol=5e-3)
-
-
-def _in_front(view, mesh, least):
-    """Return the mesh's triangles cut off at a depth."""
-    e, p = np.asarray(view.e, float), np.asarray(view.p, float)
-    v = (p - e) / np.linalg.norm(p - e)
-    vertices, faces = [], []
-    for corner in np.asarray(mesh.vertices, float)[np.asarray(mesh.faces)]:
-        first = len(vertices)
-        for a, b in zip(corner, np.roll(corner, -1, axis=0), strict=True):
-            za, zb = (a - e) @ v - least, (b - e) @ v - least
-            vertices += [a] if za > 0 else []
-            vertices += [a + za / (za - zb) * (b - a)] if za * zb < 0 else []
-        faces += [[first, k, k + 1] for k in range(first + 1, len(vertices) - 1)]
-    return np.array(vertices), np.array(faces)
+    v = np.asarray(pj.camera_basis(view).v)
+    plane = np.append(v, -np.asarray(view.e) @ v - 0.02)
+    corners = np.asarray(mesh.vertices, float)[np.asarray(mesh.faces)]
+    ahead = [clipped(np.pad(x, ((0, 0), (0, 1)), constant_values=1), [plane]) for x in corners]
+    expected = union_of(view, [x[:, :3] for x in ahead], 3000)
+    assert_allclose(image, expected, atol=5e-3)
 
 
 BALLS = pj.Spheres(
@@ -111,21 +104,10 @@ BALLS = pj.Spheres(
 )
 
 
-def rims(view, spheres, number=4000):
+def bent_rims(view, spheres, number=4000):
     """Return the spheres' outlines, projected by OpenCV."""
-    e, shapes = np.asarray(view.e, float), []
-    for centre, radius in zip(np.asarray(spheres.centers), np.asarray(spheres.radii), strict=True):
-        c, r = centre - e, float(radius)
-        far = np.linalg.norm(c)
-        w = c / far
-        a = np.cross(w, [0.3, 0.5, 0.8])
-        a /= np.linalg.norm(a)
-        angle = 2 * np.pi * np.arange(number)[:, None] / number
-        round_ = np.cos(angle) * a + np.sin(angle) * np.cross(w, a)
-        tangent = np.sqrt(far**2 - r**2)
-        rim = e + tangent * (tangent / far * w + r / far * round_)
-        shapes.append(shapely.Polygon(by_opencv(view, rim)))
-    return shapes
+    found = rims(view, spheres.centers, spheres.radii, number)
+    return [shapely.Polygon(by_opencv(view, rim)) for rim in found]
 
 
 @pytest.mark.full
@@ -133,7 +115,7 @@ def rims(view, spheres, number=4000):
 def test_spheres_are_the_bent_images_of_their_rims(case):
     view = camera(*CASES[case])
     image = silhouette(view, pj.Scene(spheres=BALLS))
-    assert_allclose(image, union_per_pixel(rims(view, BALLS), W, H), atol=1.5e-3)
+    assert_allclose(image, union_per_pixel(bent_rims(view, BALLS), W, H), atol=1.5e-3)
 
 
 @pytest.mark.full
@@ -157,7 +139,7 @@ def test_derivatives_are_differences_of_the_oracle():
     def oracle(x):
         view, mesh, spheres = parts(jnp.asarray(x))
         shapes = [bent_polygon(view, np.asarray(mesh.vertices, float), 400)]
-        return np.sum(up * union_per_pixel([*shapes, *rims(view, spheres, 800)], W, H))
+        return np.sum(up * union_per_pixel([*shapes, *bent_rims(view, spheres, 800)], W, H))
 
     _, forward, gradient = jax.jit(partial(both_ways, ours))(flat, jnp.ones_like(flat), 1.0)
     assert np.all(np.isfinite(gradient))

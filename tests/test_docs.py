@@ -397,13 +397,9 @@ def test_install_lines_name_what_there_is():
         for named in re.findall(r"'\.\[([\w,]+)\]'", line):
             assert set(named.split(",")) <= set(extras)
         assert set(re.findall(r"--group (\w+)", line)) <= set(groups)
-    for line in lines:
-        venv, install, use = (part.split() for part in line.split(" && "))
-        assert venv == ["python3", "-m", "venv", ".venv"]
-        assert install[:3] == [".venv/bin/pip", "install", "-q"]
-        assert use[0] == ".venv/bin/python"
-        for word in use[1:]:
-            assert not word.endswith(".py") or (ROOT / word).is_file()
+    scripts = re.findall(r"\.venv/bin/python (\S+\.py)", "\n".join(lines))
+    assert len(scripts) == 1
+    assert (ROOT / scripts[0]).is_file()
     table = TEXTS["docs/how-to/set-up.md"].partition("| extra |")[2].partition("\n\n")[0]
     assert set(re.findall(r"^\| `(\w+)` \|", table, re.M)) == set(extras)
 

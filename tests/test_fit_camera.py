@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 import trimesh
 from chosen import first, full
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 from oracles import drawn, random_camera, turned, usual_camera
 
 import pinhole_jax as pj
 from pinhole_jax import formats, io, shapes
-from pinhole_jax._fit.fit_camera import check_border
 from pinhole_jax._solver.levenberg_marquardt import descended
 
 CAMERA = usual_camera()
@@ -65,10 +64,10 @@ def test_pose_and_focal_length_from_exact_masks(convert, worst, exhaustive):
     ],
 )
 def test_fit_of_each_subset_of_parameters_finds_the_truth(scene, free, change):
-    values = {name: getattr(CAMERA, name) for name in ("e", "p", "u", "phi", "d", "W", "H", "lens")}
-    if free == ("position",) or "position" in free:  # an eye that moves takes its view point along
-        change = {**change, "p": np.asarray(CAMERA.p) + change["e"] - np.asarray(CAMERA.e)}
-    fit = pj.fit_camera(scene, drawn(CAMERA, scene), pj.Camera(**{**values, **change}), free)
+    start = CAMERA.replace(**change)
+    if "position" in free:  # an eye that moves takes its view point along
+        start = start.replace(p=CAMERA.p + start.e - CAMERA.e)
+    fit = pj.fit_camera(scene, drawn(CAMERA, scene), start, free)
     angle, shift = pj.pose_error(fit.camera, CAMERA)
     assert fit.status == "converged"
     assert_allclose([angle, shift], 0, atol=1e-8)
@@ -166,6 +165,11 @@ def test_inverted_mask_is_no_success(scene):
         pj.fit_camera(scene, inverted, CAMERA)
     near = CAMERA.replace(e=CAMERA.p + 0.3 * (CAMERA.e - CAMERA.p))  # it fills the picture
     assert pj.fit_camera(scene, inverted, near).status != "converged"
+    inside = np.pad(np.ones((78, 94)), 1)  # the border does not count
+    assert pj.fit_camera(scene, inverted, CAMERA, weight=inside).status != "converged"
+    ball = pj.Scene(spheres=pj.Spheres([[0.0, 0, 0]], [0.5]))
+    with pytest.raises(ValueError, match="like an inverted one"):
+        pj.fit_camera(ball, inverted, CAMERA)
 
 
 @pytest.mark.long
@@ -230,7 +234,6 @@ def test_progress_is_reported_after_each_level(scene):
     way = pj.fit_camera(scene, mask, start, record=True, progress=each.append).history
     assert [stop.steps for stop in way] == [0] + [1] * sum(fit.steps)
     assert [str(stop) for stop in each] == [str(stop) for stop in way[1:]]
-    assert_array_equal([s.camera.e for s in each], [s.camera.e for s in way[1:]])
     for level, last in zip(told, np.cumsum(fit.steps), strict=True):
         assert (way[last].W, way[last].H) == (level.W, level.H)
         assert_allclose(way[last].camera.e, level.camera.e, rtol=1e-9)
@@ -304,19 +307,6 @@ def test_bad_input_is_refused(scene, change, message):
     good = {"scene": scene, "target": MASK, "camera": CAMERA, "free": ("pose",)}
     with pytest.raises(ValueError, match=message):
         pj.fit_camera(**{**good, **change})
-
-
-def test_covered_border_is_accepted_where_it_can_be_right(scene):
-    """Where the start sees the object reach out of the picture, or these pixels do not count."""
-    ones = np.ones(MASK.shape)
-    near = CAMERA.replace(e=CAMERA.p + 0.2 * (CAMERA.e - CAMERA.p))
-    check_border(1 - MASK, ones, scene, near)
-    beside = ones.copy()
-    beside[[0, -1]] = beside[:, [0, -1]] = 0
-    check_border(1 - MASK, beside, scene, CAMERA)
-    ball = pj.Scene(spheres=pj.Spheres([[0.0, 0, 0]], [0.5]))
-    with pytest.raises(ValueError, match="like an inverted one"):
-        check_border(1 - MASK, ones, ball, CAMERA)
 
 
 # --- real input ----------------------------------------------------------------------------------

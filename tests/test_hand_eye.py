@@ -15,8 +15,6 @@ from scipy.spatial.transform import Rotation
 import pinhole_jax as pj
 from pinhole_jax import __main__ as command, shapes
 from pinhole_jax._camera.poses import inverse, pose_of
-from pinhole_jax._command.arguments import parse
-from pinhole_jax._command.hand_eye import read_robot, read_views
 
 URDF = """<robot name="two">
   <link name="base"><visual><geometry><box size="0.5 0.5 0.2"/></geometry></visual></link>
@@ -80,18 +78,6 @@ def robot_files(tmp_path, monkeypatch):
         pj.io.save_image(f"mask_{k}.png", drawn(TRUTH, robot.scene([angle])))
     pj.io.save_camera("start.json", START)
     return ["hand-eye", "arm.urdf", "joints.csv", *(f"mask_{k}.png" for k in range(3))]
-
-
-@pytest.mark.parametrize("keep", [False, True])
-def test_crumbs_of_a_robots_mask_go_unless_they_are_to_stay(robot_files, capsys, keep):
-    clean = pj.io.load_mask("mask_0.png")
-    crumbs = clean.copy()
-    crumbs[1, 1] = 255
-    pj.io.save_image("mask_0.png", crumbs)
-    options = parse([*robot_files, "--camera", "start.json", *["--no-tidy"] * keep])
-    view, *_ = read_views(read_robot(options), options, print)
-    np.testing.assert_array_equal(view.target, crumbs if keep else clean)
-    assert ("1 island of at most 1 px dropped" in capsys.readouterr().out) == (not keep)
 
 
 @pytest.mark.long

@@ -501,7 +501,8 @@ def f(x):  # a comment
 BODY = "\n".join(f"  x = {k}" for k in range(60))
 DOCSTRING = f"def f():\n  '''A\n\n  docstring.'''\n{BODY[8:]}"
 NESTED = "f'{f'{x}'}' + 1\n" if sys.version_info >= (3, 12) else "f'{x}' + 1\n"
-FIT, PATH, CPP_PATH, TEST = "pinhole_jax/_fit", "pinhole_jax/_fit/a.py", "x/a.cc", "tests/a.py"
+PACKAGE, FIT, TESTS = "pinhole_jax", "pinhole_jax/_fit", "tests"  # with names of no real file
+PATH, CPP_PATH, TEST = f"{FIT}/a.py", "x/a.cc", f"{TESTS}/a.py"
 
 
 @pytest.mark.parametrize(
@@ -533,7 +534,7 @@ FIT, PATH, CPP_PATH, TEST = "pinhole_jax/_fit", "pinhole_jax/_fit/a.py", "x/a.cc
         (vague_docstrings, TEST, 'def f(): "Return whether."', {"tests: Return whether": 1}),
         (vague_docstrings, TEST, 'def f(): "Return thatch."', {}),
         (names_of_no_thing, PATH, "class _PointsSeen: ...", {"PointsSeen": 1}),
-        (names_of_no_thing, "pinhole_jax/cut_and_turned.py", "", {"cut_and_turned.py": 1}),
+        (names_of_no_thing, f"{PACKAGE}/cut_and_turned.py", "", {"cut_and_turned.py": 1}),
         (names_of_no_thing, PATH, "class FixedPoint: ...\nclass Speed: ...", {}),
         (filler_functions, TEST, "class A:\n def of(): ...", {"tests: of": 1}),
         (filler_functions, TEST, "def office(): ...\ndef _one(): ...", {"tests: _one": 1}),
@@ -548,7 +549,7 @@ def test_rule_counts_what_breaks_it(count, path, text, names):
 
 def test_file_names_that_stand_twice_are_counted():
     names = ["a/b.py", "c/_b.py", "a/__init__.py", "c/__init__.py", "c/d.py", "b.md"]
-    assert files_of_one_name({f"pinhole_jax/{name}": "" for name in names}) == {"b": 2}
+    assert files_of_one_name({f"{PACKAGE}/{name}": "" for name in names}) == {"b": 2}
 
 
 @pytest.mark.parametrize(
@@ -581,8 +582,8 @@ def test_private_doors_are_found(text, name):
 
 
 def test_broken_promises_are_found():
-    node = "tests/test_a.py::test_b"
-    files = {"tests/test_a.py": "def test_b(): ..."}
+    node = f"{TESTS}/test_a.py::test_b"
+    files = {f"{TESTS}/test_a.py": "def test_b(): ..."}
     assert broken_promises(f"| `{node}` |", files) == []
     assert broken_promises(f"| `{node}` | `{node}c` |", files) == [f"{node}c"]
 

@@ -359,7 +359,7 @@ def test_background_colour_gives_partial_coverage_at_edges(tmp_path):
     assert "by more than 30.0 in CIE Lab (as told)" in said[0]
 
 
-def test_run_lengths_of_several_masks_are_not_called_polygons():
+def test_run_lengths_that_are_none_are_refused():
     from pycocotools import mask as coco
 
     stack = np.asfortranarray(np.dstack([disc() > 0.5] * 3).astype(np.uint8))
@@ -371,11 +371,19 @@ def test_run_lengths_of_several_masks_are_not_called_polygons():
         ([], "no mask"),
         (np.zeros(0), "no mask"),
         (np.array(3.0), "got array"),
-        (np.array(polygon), "polygons; .*frPyObjects"),
-        (np.array(polygon).reshape(3, 2), "polygons; .*frPyObjects"),
-        ([np.array(polygon)], "polygons; .*frPyObjects"),
-        (polygon, "polygons; .*frPyObjects"),
+        (None, "got None"),
+        *(
+            (x, "polygons; .*frPyObjects")
+            for x in (polygon, [polygon], np.reshape(polygon, (3, 2)))
+        ),
         (stack[..., 0], "a mask already"),
+        ({"counts": [4]}, "`size` and `counts`"),
+        ({"size": [2, -2], "counts": [4]}, "`size`"),
+        ({"size": [2, 2], "counts": [1.5, 2.5]}, "whole numbers"),
+        ({"size": [2, 2], "counts": [3]}, "runs of 4 pixels, got 3"),
+        ({"size": [2, 2], "counts": [5, -1]}, "at least 0"),
+        ({"size": [2, 2], "counts": "\n"}, "pycocotools' text"),
+        ({"size": [2, 2], "counts": b"\n"}, "pycocotools' text"),
     ):
         with pytest.raises(ValueError, match=f"`rle`: .*{words}"):
             io.mask_of_rle(rle)  # pyright: ignore[reportArgumentType]

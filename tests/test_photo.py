@@ -85,7 +85,6 @@ def test_colours_that_tell_nothing_leave_the_mask_alone(scene, shown):
         np.testing.assert_array_equal(fit.camera.e, by_mask.camera.e)
 
 
-@pytest.mark.long
 def beside(scene, masks, photos):
     """Return views of the scene in place, and turned by a third of a circle."""
     place = np.eye(4)
@@ -102,6 +101,7 @@ def turned_away(scene):
     return drawn(CAMERA, pj.Scene(mesh=pj.Mesh(vertices, scene.mesh.faces)))
 
 
+@pytest.mark.long
 def test_photos_put_grown_masks_right_together(scene, shown):
     seen = [shown, turned_away(scene)]
     masks, pictures = [grown(x) for x in seen], [photo_of(x) for x in seen]

@@ -15,8 +15,9 @@ import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._numerics import threads
 
+pytestmark = pytest.mark.long
 
-@pytest.mark.long
+
 @pytest.mark.parametrize(
     "shape", [full("plate"), full("box"), "mug", full("can"), full("ellipsoid"), full("dented")]
 )
@@ -29,7 +30,6 @@ def test_no_fit_says_converged_and_is_wrong(shape, exhaustive):
             assert sum(r["status"] == "converged" for r in rows if r["start"]) > 0
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("number", "shape", "kind"),
     [
@@ -64,7 +64,6 @@ def degrees(fit, truth=CAMERA):
     return float(np.rad2deg(pj.pose_error(fit.camera, truth)[0]))
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("degrees", [122, full(-75), full(40)])
 def test_nearly_round_body_is_found_from_all_round_its_axis(degrees):
     """A ball with a dent: a turn about the dent shows facets alone, in valleys some degrees wide,
@@ -81,7 +80,6 @@ def test_nearly_round_body_is_found_from_all_round_its_axis(degrees):
     assert np.rad2deg(pj.pose_error(fit.camera, truth)[0]) < 0.3
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("clipped", [False, True])
 def test_noisy_mask_is_explained(clipped):
     """Noise is no misfit, wherever in the image it is."""
@@ -95,7 +93,6 @@ def test_noisy_mask_is_explained(clipped):
         assert degrees(fit) < 1
 
 
-@pytest.mark.long
 def test_noisy_mask_of_a_box_is_as_ambiguous_as_an_exact_one():
     box = trimesh.creation.box((1.2, 1.32, 1.05))
     scene = pj.Scene(mesh=pj.Mesh(box.vertices, box.faces))
@@ -107,7 +104,6 @@ def test_noisy_mask_of_a_box_is_as_ambiguous_as_an_exact_one():
         assert min(map(degrees, (fit, *fit.modes))) < 1
 
 
-@pytest.mark.long
 def test_faceted_body_fits_as_well_one_facet_on():
     """The start is nearer to a camera one facet on: the mask cannot tell."""
     torus = trimesh.creation.torus(1.0, 0.35, major_sections=32, minor_sections=16)
@@ -119,7 +115,6 @@ def test_faceted_body_fits_as_well_one_facet_on():
         assert fit.modes or "the turn about the axis" in fit.weak[0]
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("kind", ["one bit", full("blurred"), full("eroded")])
 def test_contours_within_the_object_are_no_outline(kind):
     torus = trimesh.creation.torus(1.0, 0.35, major_sections=32, minor_sections=16)
@@ -135,7 +130,6 @@ def test_contours_within_the_object_are_no_outline(kind):
     assert not any("far from the mask's edge" in words for words in fit.weak)
 
 
-@pytest.mark.long
 def test_sigma_does_not_fall_below_rounding():
     """Exact masks in float32: errors are a few standard errors at most."""
     scene = pj.Scene(mesh=shapes.bumpy(3))
@@ -150,7 +144,6 @@ def test_sigma_does_not_fall_below_rounding():
     assert max(errors) < 4
 
 
-@pytest.mark.long
 def test_hard_mask_on_the_grid_leaves_a_sigma():
     """Its right camera leaves no residual at all, and still is not known better than to a part of
     a pixel."""
@@ -162,7 +155,6 @@ def test_hard_mask_on_the_grid_leaves_a_sigma():
     assert np.all(fit.std[:2] > 0.005 * px)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("sides", [5, 6, full(7)])
 def test_nut_fits_as_well_one_side_on(sides, monkeypatch):
     """Neighbours of the start, none of them half a turn away; the same on any number of cores, on

@@ -547,14 +547,12 @@ def test_modes_are_chosen_by_number(fitted):
         do(fitted, "mode", number=2)
 
 
-def test_formats_are_written_and_read_as_the_same_camera(bench):
+def test_camera_is_written_in_all_formats(bench):
     written = do(bench, "export", format="all", name="view")["written"]
-    for path, (name, format) in zip(written, pj.formats.FORMATS.items(), strict=True):
-        assert Path(path).exists()
-        if format.read is not None:
-            size = (W, H) if format.sized else None
-            (again,) = pj.formats.read(path, name, size=size).values()
-            assert max(map(float, pj.pose_error(again, bench.camera))) < 1e-4
+    assert len(written) == len(pj.formats.FORMATS)
+    assert all(Path(path).exists() for path in written)
+    again = pj.formats.read_one(written[0])
+    assert max(map(float, pj.pose_error(again, bench.camera))) < 1e-12
     again = do(bench, "export", format="json", name="view")["written"]
     assert again == [f"{written[0]} (replaced)"]
 
