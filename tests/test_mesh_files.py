@@ -361,7 +361,9 @@ def test_strips_triangles_lines_and_points_in_one_mesh(tmp_path):
     expected = [*strip[[[0, 1, 2], [1, 3, 2], [2, 3, 4]]], *(SQUARE + 20)[TWO]]
     check_triangles(f.load(tmp_path), [*expected, *(strip + 30)[[[0, 1, 2], [3, 1, 4]]]])
     f.node(mesh=f.mesh(f.primitive(SQUARE, mode=6)))
-    with pytest.raises(ValueError, match=r"meshes\[1\].primitives\[0\].mode.*fans are not read"):
+    with pytest.raises(
+        ValueError, match=r"`mode`: .*fans are not read.*meshes\[1\], primitives\[0\]"
+    ):
         f.load(tmp_path)
 
 
@@ -377,7 +379,7 @@ def test_quantized_positions(tmp_path, kind, normalized):
     f.top["accessors"][0]["normalized"] = normalized
     f.top["extensionsRequired"] = f.top["extensionsUsed"] = ["KHR_mesh_quantization"]
     if normalized:
-        with pytest.raises(ValueError, match=r"accessors\[0\].normalized"):
+        with pytest.raises(ValueError, match=r"`normalized`.*accessors\[0\]"):
             f.load(tmp_path)
     else:
         check_triangles(f.load(tmp_path), [points])
@@ -437,7 +439,7 @@ def test_buffers_are_read_from_the_folder_only(tmp_path, kind):
     folder, secret = tmp_path / "meshes", put(tmp_path, "secret.bin", f.data)
     (folder / "folder").mkdir(parents=True)
     (folder / "link.bin").symlink_to(secret)
-    with pytest.raises(ValueError, match=r"`path`: .*`buffers.uri`: expected a file "):
+    with pytest.raises(ValueError, match=r"`path`: .*`uri`: expected a file "):
         f.load(folder, uri=kind.format(secret))
     for name in ("in a.bin", "folder/b.bin"):
         (folder / name).write_bytes(f.data)
@@ -483,49 +485,50 @@ def many(kind, count):
 
 #: A field, its new value, and the error.
 CHANGES = [
-    ("accessors.0.count", "1000000000", "accessors.: expected at most 268435456 numbers"),
-    ("accessors.0.count", "-1", r"accessors\[0\].count"),
-    ("accessors.0.count", "true", r"accessors\[0\].count"),
-    ("accessors.0.count", "Infinity", r"accessors\[0\].count"),
-    ("accessors.0.byteOffset", "1", "buffer size"),
-    ("accessors.0.byteOffset", "1" + 30 * "0", r"accessors\[0\].byteOffset"),
-    ("accessors.0.byteOffset", "-4", r"accessors\[0\].byteOffset"),
-    ("accessors.0.type", '"VEC9"', r"accessors\[0\].type"),
-    ("accessors.0.componentType", "5124", "not in their place.* 5124"),
-    ("accessors.0.componentType", "[]", "not in their place.*'list'"),
-    ("accessors.0.bufferView", "9", r"accessors\[0\].bufferView"),
-    ("accessors.0.bufferView", None, r"accessors\[0\].bufferView`: expected data, got none"),
-    ("accessors.0.sparse", '{"count": 5}', r"accessors\[0\].*sparse"),
-    ("accessors.1.componentType", "5122", r"accessors\[1\].componentType"),
-    ("accessors.1.count", "5", "array of size 5"),
-    ("accessors", "{}", "primitives.*expected a number below 0, at least 0"),
-    ("bufferViews.0.byteLength", "1000000000", "not in their place"),
-    ("bufferViews.0.byteOffset", "1000000000", "not in their place"),
-    ("bufferViews.0.byteStride", "100", "not in their place"),
-    ("bufferViews.0.buffer", "3", r"bufferViews\[0\].buffer"),
-    ("bufferViews.0.extensions", '{"EXT_meshopt_compression": {}}', "EXT_meshopt_compression"),
-    ("nodes.0.mesh", "5", r"nodes\[0\].mesh"),
-    ("nodes.0.mesh", '"0"', r"nodes\[0\].mesh"),
-    ("nodes.0.children", "[0]", r"nodes\[0\]`: expected one parent"),
-    ("nodes.0.children", "[7]", "nodes"),
-    ("nodes.0.children", "[[0]]", "nodes"),
-    ("nodes.0.children", '{"0": 0}', r"nodes\[0\].children"),
-    ("nodes.0.matrix", "[1, 0, 0]", "array of size 3"),
-    ("nodes.0.matrix", '["a"]', "could not convert string to float"),
-    ("nodes.0.rotation", "[0, 0, 0, 0]", r"nodes\[0\].rotation"),
-    ("nodes.0.scale", "[NaN, 1, 1]", "NaN or infinity"),
+    ("accessors.0.count", "1000000000", r"`count`: .* got 1000000000 .*accessors\[0\]"),
+    ("accessors.0.count", "-1", "`count`: expected an integer of at least 1, got -1"),
+    ("accessors.0.count", "true", "`count`: .* got True"),
+    ("accessors.0.count", "Infinity", "`count`: .* got inf"),
+    ("accessors.0.byteOffset", "1", r"`count`: expected data in 48 bytes.*accessors\[0\]"),
+    ("accessors.0.byteOffset", "1" + 30 * "0", "`byteOffset`"),
+    ("accessors.0.byteOffset", "-4", "`byteOffset`"),
+    ("accessors.0.type", '"VEC9"', "`type`: expected one of VEC3, got 'VEC9'"),
+    ("accessors.0.componentType", "5124", "`componentType`: expected one of .*, got 5124"),
+    ("accessors.0.componentType", "[]", "`componentType`"),
+    ("accessors.0.bufferView", "9", "`bufferView`: expected a number below 2, got 9"),
+    ("accessors.0.bufferView", None, "`bufferView`: .* got no such field"),
+    ("accessors.0.sparse", '{"count": 5}', "`sparse`: expected none, as it is not read"),
+    ("accessors.1.componentType", "5122", r"`componentType`: .*5122 .*accessors\[1\]"),
+    ("accessors.1.count", "5", "`indices`: expected three for each triangle, got 5"),
+    ("accessors", "{}", "`accessors`: expected a list"),
+    ("bufferViews.0.byteLength", "47", "`count`: expected data in 47 bytes, got 4"),
+    ("bufferViews.0.byteOffset", "1000000000", "`count`: expected data in 0 bytes"),
+    ("bufferViews.0.byteStride", "100", "`count`: expected data in 48 bytes"),
+    ("bufferViews.0.buffer", "3", r"`buffer`: .*bufferViews\[0\]"),
+    ("bufferViews.0.extensions", '{"EXT_meshopt_compression": {}}', "`EXT_meshopt_compression`"),
+    ("nodes.0.mesh", "5", r"`mesh`: expected a number below 1, got 5 .*nodes\[0\]"),
+    ("nodes.0.mesh", '"0"', "`mesh`: expected an integer"),
+    ("nodes.0.children", "[0]", "`children`: expected nodes with one parent each"),
+    ("nodes.0.children", "[7]", "`children`: expected numbers of nodes below 1"),
+    ("nodes.0.children", "[0.5]", "`children`: expected numbers of nodes below 1"),
+    ("nodes.0.children", "[[0]]", "`children`"),
+    ("nodes.0.children", '{"0": 0}', "`children`"),
+    ("nodes.0.matrix", "[1, 0, 0]", r"`matrix`: expected finite numbers of shape \(16,\)"),
+    ("nodes.0.matrix", '["a"]', "`matrix`"),
+    ("nodes.0.rotation", "[0, 0, 0, 0]", "`rotation`: expected a quaternion of length 1"),
+    ("nodes.0.scale", "[NaN, 1, 1]", "`scale`"),
     ("nodes.0.weights", "[0, 0.5]", "morph targets"),
-    ("nodes.0.skin", "0", r"nodes\[0\].*skin"),
-    ("nodes.0.extensions", '{"EXT_mesh_gpu_instancing": {}}', "EXT_mesh_gpu_instancing"),
-    ("nodes.0.extensions", '{"KHR_node_visibility": {}}', "KHR_node_visibility"),
-    ("nodes.0", "5", "not in their place.*'int'"),
+    ("nodes.0.skin", "0", r"`skin`: expected none.*nodes\[0\]"),
+    ("nodes.0.extensions", '{"EXT_mesh_gpu_instancing": {}}', "`EXT_mesh_gpu_instancing`"),
+    ("nodes.0.extensions", '{"KHR_node_visibility": {}}', "`KHR_node_visibility`"),
+    ("nodes.0", "5", "expected fields with names, got 5"),
     ("scenes.0.nodes", "[0, 0]", "one parent"),
     ("scene", "3", "`scene`: expected a number below 1"),
-    ("meshes.0.weights", "[1.0]", r"meshes\[0\].weights"),
-    ("meshes.0.primitives.0.mode", "7", "mode"),
-    ("meshes.0.primitives.0.indices", "0", r"accessors\[0\].type"),
-    ("meshes.0.primitives.0.extensions", '{"KHR_draco_mesh_compression": {}}', "KHR_draco"),
-    ("meshes.0.primitives", "[3]", "not in their place.*'int'"),
+    ("meshes.0.weights", "[1.0]", r"`weights`: .*meshes\[0\]"),
+    ("meshes.0.primitives.0.mode", "7", "`mode`"),
+    ("meshes.0.primitives.0.indices", "0", r"`type`: .*accessors\[0\]"),
+    ("meshes.0.primitives.0.extensions", '{"KHR_draco_mesh_compression": {}}', "`KHR_draco"),
+    ("meshes.0.primitives", "[3]", "expected fields with names, got 3"),
     ("asset.version", '"1.0"', "asset.version"),
     ("extensionsRequired", '["KHR_materials_unlit", "KHR_other"]', "got KHR_other"),
     ("extensionsRequired", '["KHR_draco_mesh_compression"]', "got KHR_draco_mesh_compression"),
@@ -566,8 +569,7 @@ def test_indices_beyond_the_vertices(tmp_path):
     [
         (lambda: bomb(60), "one parent"),
         (lambda: many("nodes", 500), "at most 67108864 corners"),
-        (lambda: many("accessors", 500), "at most 268435456 numbers"),
-        (lambda: many("bufferViews", 1000), "bufferViews.: expected at most 2147483648 bytes"),
+        (lambda: many("accessors", 500), "at most 67108864 corners"),
     ],
 )
 def test_small_files_that_stand_for_much_are_refused_in_seconds(tmp_path, make, message):
@@ -580,7 +582,9 @@ def test_small_files_that_stand_for_much_are_refused_in_seconds(tmp_path, make, 
 
 @pytest.mark.parametrize("text", [b"[", b'{"a":', b'{"extras":' * 3 + b"["])
 def test_json_that_is_nested_deeply(tmp_path, text):
-    with pytest.raises(ValueError, match=r"`path`: expected a readable mesh, .*(nested|no JSON)"):
+    with pytest.raises(
+        ValueError, match=r"`path`: expected a readable mesh, .*(expected glTF|more than 64 levels)"
+    ):
         pj.load_mesh(put(tmp_path, "a.gltf", text * 200_000))
 
 

@@ -1,29 +1,89 @@
-"""Binary glTF: a head, a chunk of JSON, and chunks of data."""
+"""glTF 2.0, .gltf (JSON) and .glb (binary): a file's fields, and its nodes in the world."""
 
 import struct
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from .._files.fields import Fields
+from .._files.paths import decode_text, parse_json
 
 #: glTF's mark, version 2, the sizes of the file and of the first chunk, whose kind is JSON.
 HEAD = struct.Struct("<4s4I")
 MAGIC, VERSION, JSON_CHUNK = b"glTF", 2, 0x4E4F534A
+#: The most bytes of a file, and of a head: of the chunk behind the JSON, which has data.
+MOST_BYTES, CHUNK_HEAD = 1 << 31, 8
 
 
-def json_size(head: bytes, size: int) -> int | None:
-    """Return the size of the JSON behind the head of a file of this size; None for plain JSON.
+def parse_gltf(data: bytes, path: Any) -> tuple[Fields, bytes]:
+    """Return a file's top-level fields, and the binary data behind them.
 
-    Raises ValueError for a file that is cut short, of another version, or begins with other data.
+    Raises ValueError for what is no JSON, and for a glb that is cut short, of another version, or
+    begins with other data.
     """
-    if head[:4] != MAGIC:
-        return None
-    _, version, whole, length, kind = HEAD.unpack(head[: HEAD.size].ljust(HEAD.size, b"\0"))
-    if not HEAD.size + length <= whole <= size:
-        raise ValueError(f"expected a whole glb of {whole} bytes, got {size}: cut short")
-    if version != VERSION or kind != JSON_CHUNK:
-        raise ValueError(f"expected JSON first in a glb of version {VERSION}, got other data")
-    return length
+    start, end = 0, len(data)
+    if data[:4] == MAGIC:
+        _, version, whole, length, kind = HEAD.unpack(data[: HEAD.size].ljust(HEAD.size, b"\0"))
+        start, end = HEAD.size, HEAD.size + length
+        if not end <= whole <= len(data):
+            words = f"expected a whole glb of {whole} bytes, got {len(data)}: cut short"
+            raise ValueError(f"`path`: {words} (in {str(path)!r})")
+        if version != VERSION or kind != JSON_CHUNK:
+            words = f"expected JSON first in a glb of version {VERSION}, got other data"
+            raise ValueError(f"`path`: {words} (in {str(path)!r})")
+    top = parse_json(decode_text(data[start:end], path), path, "glTF")
+    return Fields(top, repr(str(path))), data[end + CHUNK_HEAD :]
 
 
-def pack_glb(text: bytes, rest: bytes = b"") -> bytes:
-    """Return the binary file of some JSON and the chunks that follow it."""
+def pack_glb(text: bytes) -> bytes:
+    """Return the binary file of some JSON."""
     text += b" " * (-len(text) % 4)
-    size = HEAD.size + len(text) + len(rest)
-    return HEAD.pack(MAGIC, VERSION, size, len(text), JSON_CHUNK) + text + rest
+    return HEAD.pack(MAGIC, VERSION, HEAD.size + len(text), len(text), JSON_CHUNK) + text
+
+
+def parts(top: Fields, name: str) -> list[Fields]:
+    """Return the objects of one of a file's lists, none where it has no such list."""
+    return top.parts(name) if name in top else []
+
+
+def place_nodes(nodes: list[Fields], roots: Iterable[float]) -> dict[int, np.ndarray]:
+    """Return the transform (4, 4) to the world of each node below these, in the file's order.
+
+    Raises ValueError for a node with two parents: such could stand for 2^depth copies.
+    """
+    places: dict[int, np.ndarray] = {}
+    waiting = [(int(root), np.eye(4)) for root in roots]
+    while waiting:
+        k, above = waiting.pop()
+        if k in places:
+            raise nodes[k].wrong("children", "nodes with one parent each", f"two of node {k}")
+        with np.errstate(over="ignore", invalid="ignore"):  # found where it matters
+            places[k] = above @ _local(nodes[k])
+        waiting += [(int(child), places[k]) for child in children(nodes[k], nodes)]
+    return dict(sorted(places.items()))
+
+
+def children(part: Fields, nodes: list[Fields], name: str = "children") -> list[float]:
+    """Return the numbers of nodes that a field lists."""
+    expected = f"numbers of nodes below {len(nodes)}"
+    numbers = part.array(name, (-1,), expected).tolist() if name in part else []
+    if not all(0 <= k < len(nodes) and k == int(k) for k in numbers):
+        raise part.wrong(name, expected, numbers)
+    return numbers
+
+
+def _local(node: Fields) -> np.ndarray:
+    """Return a node's own transform (4, 4)."""
+    if "matrix" in node:
+        if both := {"rotation", "scale", "translation"} & node.data.keys():
+            raise node.wrong("matrix", "one kind of transform", f"both it and {min(both)}")
+        return node.array("matrix", (16,)).reshape(4, 4).T
+    matrix = np.eye(4)
+    if "rotation" in node:
+        matrix[:3, :3] = node.rotation("rotation")
+    if "scale" in node:
+        matrix[:3, :3] *= node.array("scale", (3,))
+    if "translation" in node:
+        matrix[:3, 3] = node.array("translation", (3,))
+    return matrix

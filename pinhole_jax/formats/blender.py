@@ -13,16 +13,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from .._camera.camera import Camera
+from .._files.fields import Fields, Size
 from .._files.paths import FilePath
-from .fields import (
-    Cameras,
-    Fields,
-    Size,
-    check_cameras,
-    named_cameras,
-    save_json,
-    save_text,
-)
+from .cameras import Cameras, check_cameras, named_cameras, save_json, save_text
 from .pinhole import OPENGL, Pinhole, camera_from_pinhole, pinhole, read_pose, world_from_camera
 
 SCHEMA = "pinhole_jax.blender/1"

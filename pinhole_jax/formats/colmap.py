@@ -16,10 +16,10 @@ from typing import Any, BinaryIO
 from .._camera.camera import Camera
 from .._camera.distortion import BrownConrady, Distortion, Fisheye, Rational
 from .._camera.poses import inverse, pose_of, rigid
+from .._files.fields import Fields, number, short
 from .._files.paths import FilePath, open_file, replace_file
-from .fields import KIND, Cameras, Fields, by_name, check_cameras, number, short
+from .cameras import KIND, Cameras, by_name, check_cameras
 from .pinhole import OPENCV, Pinhole, camera_from_pinhole, distortion_model, pinhole
-from .rotations import rotation_from_quaternion, rotations
 
 #: COLMAP's models by number, with their parameters; distortion is what is not f, fx, fy, cx, cy.
 MODELS = {
@@ -164,18 +164,18 @@ def _posed(
                 f"`CAMERA_ID`: expected a camera of {str(file)!r}, got {number} ({where})"
             )
         view, distortion, source = cameras[number]
-        fields = Fields({"QUATERNION": pose[:4], "TRANSLATION": pose[4:]}, where)
-        R = rotation_from_quaternion(
-            fields.array("QUATERNION", (4,))[[1, 2, 3, 0]], fields, "QUATERNION"
-        )
-        matrix = rigid(R, fields.array("TRANSLATION", (3,)))
+        w, *xyz = pose[:4]
+        fields = Fields({"QUATERNION": [*xyz, w], "TRANSLATION": pose[4:]}, where)
+        matrix = rigid(fields.rotation("QUATERNION"), fields.array("TRANSLATION", (3,)))
         yield name, camera_from_pinhole(view, inverse(matrix), OPENCV, source, distortion)
 
 
 def _pose(camera: Camera) -> list[float]:
     """Return camera_from_world as a quaternion (w, x, y, z) and a translation."""
+    from scipy.spatial.transform import Rotation
+
     matrix = inverse(pose_of(camera))
-    *xyz, w = rotations().from_matrix(matrix[:3, :3]).as_quat(canonical=True).tolist()
+    *xyz, w = Rotation.from_matrix(matrix[:3, :3]).as_quat(canonical=True).tolist()
     return [w, *xyz, *matrix[:3, 3].tolist()]
 
 

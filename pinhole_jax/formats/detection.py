@@ -8,12 +8,12 @@ import numpy as np
 
 from .._camera.camera import Camera
 from .._camera.lens import Lens
-from .._camera.poses import Pose, inverse
+from .._camera.poses import Pose, inverse, rigid
+from .._files.fields import Fields
 from .._mask.target import check_image
 from .._numerics.arrays import ArrayLike, Input
 from .._scene.scene import Scene
 from .._silhouette.silhouette import silhouette
-from .fields import Fields
 from .pinhole import (
     LEFT_UP_FORWARD,
     OPENCV,
@@ -21,7 +21,7 @@ from .pinhole import (
     Pinhole,
     camera_from_pinhole,
     focal_from_fov,
-    read_pose,
+    pose_from_matrix,
 )
 from .window import resized
 
@@ -35,8 +35,8 @@ AXES: dict[str, np.ndarray] = {
 LABELS = ("axes", "direction", "pixel_centres", "fov_axis")
 #: First look: the longer side, px; not worth a program of its own up to the second number.
 COARSE_PX, FULL_PX = 96, 320
-#: How many poses get a second look.
-KEPT = 6
+#: How many readings get a second look.
+KEPT = 36
 #: A mask decides between two hypotheses where, of the pixels that differ, the target takes
 #: one's side in this share, and in more than chance would by this many standard deviations.
 SHARE = 0.6
@@ -120,54 +120,46 @@ def detect(
     if not 0 < target.sum() < target.size:
         raise ValueError("`mask`: expected one that covers some pixels, got none or all")
     H, W = target.shape
-    views = _views(W, H, K, focal_px, fov)
-    poses = _promising(scene, target, list(_poses(pose)), views)
-    scale = float(max(abs(np.asarray(pose, float)).max(), 1))
+    readings = [
+        Reading((*words, *more), view, place)
+        for (words, place), (more, view) in product(_poses(pose), _views(W, H, K, focal_px, fov))
+    ]
+    is_hard = bool(np.all((target == 0) | (target == 1)))
     ranked = []
-    for readings in _alike([(view, pose) for pose in poses for view in views], scale):
-        view, pose_read = readings[0]
-        camera = _camera(view, pose_read)
+    for group in _alike(_promising(scene, target, readings)):
+        camera = _camera(group[0])
         image = np.asarray(silhouette(camera, scene, overlaps=False), float)
-        seen = image > 0.5
-        iou = _iou(seen if np.all((target == 0) | (target == 1)) else image, target)
-        columns = zip(*((*pose[:2], *view[:2]) for view, pose in readings), strict=True)
-        words = [" or ".join(dict.fromkeys(column)) for column in columns]
-        named = dict(zip(LABELS, words, strict=True))
-        ranked.append((Hypothesis(iou=iou, camera=camera, **named), seen))
+        inside = image > 0.5
+        columns = zip(*(reading.words for reading in group), strict=True)
+        words = (" or ".join(dict.fromkeys(column)) for column in columns)
+        iou = _iou(inside if is_hard else image, target)
+        ranked.append((Hypothesis(iou, *words, camera), inside))
     ranked.sort(key=lambda pair: -pair[0].iou)
     return _verdict(ranked, target > 0.5)
 
 
-class _View(NamedTuple):
-    """A reading of the intrinsics."""
+class Reading(NamedTuple):
+    """A reading of the numbers: its `words` (see `LABELS`), intrinsics, and a pose in OpenCV's
+    axes."""
 
-    pixel_centres: str
-    fov_axis: str
-    pinhole: Pinhole
-
-
-class _Pose(NamedTuple):
-    """A reading of the pose: `world_from_camera` (4, 4) is in OpenCV's axes."""
-
-    axes: str
-    direction: str
+    words: tuple[str, ...]
+    view: Pinhole
     world_from_camera: Pose
 
 
 def _views(
     W: int, H: int, K: ArrayLike | None, focal_px: ArrayLike | None, fov: ArrayLike | None
-) -> list[_View]:
-    """Return every reading of the intrinsics."""
+) -> list[tuple[tuple[str, str], Pinhole]]:
+    """Return every reading of the intrinsics: pixel centres, axis of the field of view."""
     given = {"K": K, "focal_px": focal_px, "fov": fov}
     data = {name: value for name, value in given.items() if value is not None}
     fields = Fields(data, "the arguments")
     if len(data) != 1:
         raise ValueError(f"expected one of `K`, `focal_px`, `fov`, got {', '.join(data) or 'none'}")
-    matrix = np.array([[1.0, 0, W / 2], [0, 1, H / 2], [0, 0, 1]])
-    focals = {"": 1.0}
+    matrix, focals = np.array([[1.0, 0, W / 2], [0, 1, H / 2], [0, 0, 1]]), {"": 1.0}
     if "K" in data:
         matrix = fields.array("K", (3, 3))
-        if np.any(matrix[2] != [0, 0, 1]) or matrix[0, 0] <= 0 or matrix[1, 1] <= 0:
+        if np.any(matrix[2] != [0, 0, 1]) or min(matrix[0, 0], matrix[1, 1]) <= 0:
             raise fields.wrong("K", "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]", matrix)
     elif "focal_px" in data:
         focals = {"": fields.positive("focal_px")}
@@ -177,41 +169,37 @@ def _views(
         focals = {axis: focal_from_fov(angle, side) for axis, side in sides.items()}
     (fx, _, cx), (_, fy, cy), _ = matrix
     return [
-        _View(centres, axis, Pinhole(fx * focal, fy * focal, cx + shift, cy + shift, W, H))
+        ((centres, axis), Pinhole(fx * focal, fy * focal, cx + shift, cy + shift, W, H))
         for axis, focal in focals.items()
         for centres, shift in (("half", 0.0), ("integer", 0.5))
     ]
 
 
-def _poses(pose: ArrayLike) -> Iterator[_Pose]:
-    """Yield every reading of the pose."""
+def _poses(pose: ArrayLike) -> Iterator[tuple[tuple[str, str], Pose]]:
+    """Yield every reading of the pose: axes, direction."""
     fields = Fields({"pose": pose}, "the arguments")
     shape = fields.shape("pose")
     matrix = fields.array("pose", shape if shape == (3, 4) else (4, 4))
     if len(matrix) == 4 and np.any(matrix[3, :3]) and not np.any(matrix[:3, 3]):
-        transposed = Fields({"pose": matrix.T}, fields.where)
-        readings = {", row vectors": read_pose(transposed, "pose")}
+        readings = {", row vectors": pose_from_matrix(matrix.T, fields, "pose")}
     else:  # R of row vectors beside a translation: [R | t] of PyTorch3D's R and T
-        given = read_pose(fields, "pose")
-        turned = given.copy()
-        turned[:3, :3] = given[:3, :3].T
+        given = pose_from_matrix(matrix, fields, "pose")
+        turned = rigid(given[:3, :3].T, given[:3, 3])
         readings = {"": given, ", rotation for row vectors": turned}
     for (words, transform), (axes, frame) in product(readings.items(), AXES.items()):
-        yield _Pose(axes, "camera_from_world" + words, inverse(transform) @ frame)
-        yield _Pose(axes, "world_from_camera" + words, transform @ frame)
+        yield (axes, "camera_from_world" + words), inverse(transform) @ frame
+        yield (axes, "world_from_camera" + words), transform @ frame
 
 
-def _camera(view: _View, pose: _Pose) -> Camera:
+def _camera(reading: Reading) -> Camera:
     """Return the camera with a lens, needed or not: then one compiled program serves all."""
     where = Fields({}, "the arguments")
-    camera = camera_from_pinhole(view.pinhole, pose.world_from_camera, OPENCV, where)
+    camera = camera_from_pinhole(reading.view, reading.world_from_camera, OPENCV, where)
     return camera.replace(lens=camera.lens or Lens([camera.W / 2, camera.H / 2]))
 
 
-def _promising(
-    scene: Scene, target: np.ndarray, poses: list[_Pose], views: list[_View]
-) -> list[_Pose]:
-    """Return the poses that explain a small image of the target best, with any intrinsics."""
+def _promising(scene: Scene, target: np.ndarray, readings: list[Reading]) -> list[Reading]:
+    """Return the readings that explain a small image of the target best."""
     from PIL import Image
 
     H, W = target.shape
@@ -220,32 +208,32 @@ def _promising(
     picture = Image.fromarray(target.astype(np.float32))
     small = np.asarray(picture.resize(size, Image.Resampling.BOX), float)
 
-    def agreement(pose: _Pose, view: _View) -> float:
-        camera = resized(_camera(view, pose), *size)
+    def agreement(reading: Reading) -> float:
+        camera = resized(_camera(reading), *size)
         return _iou(np.asarray(silhouette(camera, scene, overlaps=False), float), small)
 
-    halves = [view for view in views if view.pixel_centres == "half"]  # too fine to see here
-    best = np.array([max(agreement(pose, view) for view in halves) for pose in poses])
-    order = np.argsort(best)[::-1][:KEPT]
-    return [poses[k] for k in order if best[k] >= 0.5 * best[order[0]]]
+    ious = np.array([agreement(reading) for reading in readings])
+    least = max(0.5 * np.max(ious), np.sort(ious)[-KEPT:][0])
+    return [reading for reading, iou in zip(readings, ious, strict=True) if iou >= least]
 
 
 def _iou(image: np.ndarray, target: np.ndarray) -> float:
     return float(np.minimum(image, target).sum() / np.maximum(image, target).sum())
 
 
-def _alike(readings: list[tuple[_View, _Pose]], scale: float) -> list[list[tuple[_View, _Pose]]]:
+def _alike(readings: list[Reading]) -> list[list[Reading]]:
     """Return groups of readings: each group's make one camera."""
-    groups: list[list[tuple[_View, _Pose]]] = []
-    for view, pose in readings:
+    groups: list[list[Reading]] = []
+    scale = max(float(np.max(np.abs(reading.world_from_camera))) for reading in readings)
+    for reading in readings:
         for group in groups:
-            other, place = group[0][0].pinhole, group[0][1].world_from_camera
-            near = np.allclose(pose.world_from_camera, place, rtol=0, atol=1e-7 * scale)
-            if near and np.allclose(view.pinhole, other, rtol=0, atol=1e-6):
-                group.append((view, pose))
+            _, view, place = group[0]
+            near = np.allclose(reading.world_from_camera, place, rtol=0, atol=1e-7 * scale)
+            if near and np.allclose(reading.view, view, rtol=0, atol=1e-6):
+                group.append(reading)
                 break
         else:
-            groups.append([(view, pose)])
+            groups.append([reading])
     return groups
 
 

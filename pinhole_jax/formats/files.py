@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from .._camera.camera import Camera
+from .._files.fields import Size, short
 from .._files.paths import (
     FilePath,
     as_path,
@@ -15,8 +16,8 @@ from .._files.paths import (
     read_text,
 )
 from .blender import SCHEMA as BLENDER_SCHEMA, read_blender, write_blender, write_blender_script
+from .cameras import KIND, Cameras, parse_xml
 from .colmap import read_colmap, write_colmap
-from .fields import KIND, Cameras, Size, parse_xml, short
 from .gltf import read_gltf, write_gltf
 from .mitsuba import read_mitsuba, write_mitsuba
 from .native import CAMERA_SCHEMA, CAMERAS_SCHEMA, read_json, write_json

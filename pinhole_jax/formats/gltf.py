@@ -5,30 +5,20 @@ field of view in rad. The principal point is the image's centre and pixels are s
 a field. Nor has the image's size: it is asked for, or read from `extras`, where this library puts
 it. Pixel centres do not occur.
 
-Read here and not through trimesh, which keeps one camera of a file, no node above it, and takes
-`aspectRatio` for a ratio of angles.
+(trimesh keeps one camera of a file, no node above it, and takes `aspectRatio` for a ratio of
+angles.)
 """
 
 import json
-import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from .._camera.camera import Camera
-from .._files.paths import (
-    MOST_BYTES,
-    FilePath,
-    decode_text,
-    open_file,
-    parse_json,
-    read_text,
-    replace_file,
-)
-from .._mesh_files.glb import HEAD, json_size, pack_glb
-from .fields import KIND, Cameras, Fields, Size, by_name, check_cameras, short
+from .._files.fields import Fields, Size
+from .._files.paths import FilePath, read_bytes, replace_file
+from .._mesh_files.glb import MOST_BYTES, children, pack_glb, parse_gltf, parts, place_nodes
+from .cameras import KIND, Cameras, by_name, check_cameras
 from .pinhole import (
     OPENGL,
     Pinhole,
@@ -39,7 +29,6 @@ from .pinhole import (
     pose_from_matrix,
     world_from_camera,
 )
-from .rotations import rotation_from_quaternion
 
 
 def read_gltf(path: FilePath, *, size: Size | None = None) -> Cameras:
@@ -56,7 +45,7 @@ def read_gltf(path: FilePath, *, size: Size | None = None) -> Cameras:
     cameras = pj.formats.read_gltf("left.gltf", size=(96, 80))
     ```
     """
-    top = Fields(_header(path), repr(str(path)))
+    top, _ = parse_gltf(read_bytes(path, KIND, MOST_BYTES), path)
     cameras = by_name(_cameras(top, size), top.where)
     if not cameras:
         raise top.wrong("cameras", "a node with a camera", "none")
@@ -107,83 +96,23 @@ def _perspective(name: str, view: Pinhole) -> dict[str, Any]:
     }
 
 
-def _header(path: FilePath) -> Any:
-    """Return the JSON of a .gltf, or of a .glb's first chunk."""
-    with open_file(path, KIND, None) as stream:
-        try:
-            size = json_size(stream.read(HEAD.size), os.fstat(stream.fileno()).st_size)
-        except ValueError as error:
-            raise ValueError(f"`path`: {error} (in {str(path)!r})") from None
-        if size is not None and size > MOST_BYTES:
-            words = f"JSON of at most {MOST_BYTES} bytes in a glb, got {str(path)!r}: {size}"
-            raise ValueError(f"`path`: expected {words}")
-        text = read_text(path, KIND) if size is None else decode_text(stream.read(size), path)
-        return parse_json(text, path, "glTF")
-
-
 def _cameras(top: Fields, size: Size | None) -> Iterator[tuple[str, Camera]]:
     """Yield the cameras of the nodes that have one, with their names."""
-    nodes, own = (top.parts(name) if name in top else [] for name in ("nodes", "cameras"))
-    parents = _parents(nodes)
-    worlds: dict[int, np.ndarray] = {}
-    asset = top.data.get("asset", {})
-    by_trimesh = isinstance(asset, dict) and "trimesh" in str(asset.get("generator", ""))
-    for k, node in enumerate(nodes):
+    nodes, own = parts(top, "nodes"), parts(top, "cameras")
+    below = {k for node in nodes for k in children(node, nodes)}
+    places = place_nodes(nodes, (k for k in range(len(nodes)) if k not in below))
+    if len(places) < len(nodes):
+        raise top.wrong("children", "a tree", "a circle")
+    by_trimesh = "trimesh" in str(top.data.get("asset"))
+    for (k, place), node in zip(places.items(), nodes, strict=True):
         if "camera" in node:
-            index = node.integer("camera", 0)
-            if index >= len(own):
-                raise node.wrong("camera", f"a number below {len(own)}", f"{index}")
-            name = node.text("name", default=own[index].text("name", default=f"camera_{k}"))
-            pose = pose_from_matrix(_world(k, nodes, parents, worlds), node, "matrix")
-            yield (
-                name,
-                camera_from_pinhole(_intrinsics(own[index], size, by_trimesh), pose, OPENGL, node),
+            camera = node.chosen("camera", own)
+            name = node.text("name", default=camera.text("name", default=f"camera_{k}"))
+            view, pose = (
+                _intrinsics(camera, size, by_trimesh),
+                pose_from_matrix(place, node, "matrix"),
             )
-
-
-def _parents(nodes: list[Fields]) -> dict[int, int]:
-    parents: dict[int, int] = {}
-    for k, node in enumerate(nodes):
-        for child in node.items("children") if "children" in node else ():
-            if type(child) is not int or child in parents or not 0 <= child < len(nodes):
-                raise node.wrong("children", "nodes with one parent each", short(child))
-            parents[child] = k
-    return parents
-
-
-def _world(
-    k: int, nodes: list[Fields], parents: dict[int, int], worlds: dict[int, np.ndarray]
-) -> np.ndarray:
-    """Return the (4, 4) transform of a node's frame to the world, and add it to `worlds`, with
-    those of the nodes above it."""
-    above: dict[int, None] = {}
-    node: int | None = k
-    while node is not None and node not in worlds:
-        if node in above:
-            raise nodes[node].wrong("children", "a tree", "a circle")
-        above[node] = None
-        node = parents.get(node)
-    matrix = np.eye(4) if node is None else worlds[node]
-    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is no rotation
-        for node in reversed(above):
-            matrix = worlds[node] = matrix @ _local(nodes[node])
-    return matrix
-
-
-def _local(node: Fields) -> np.ndarray:
-    """Return a node's own transform (4, 4)."""
-    if "matrix" in node:
-        if both := {"rotation", "scale", "translation"} & node.data.keys():
-            raise node.wrong("matrix", "one kind of transform", f"both it and {min(both)}")
-        return node.array("matrix", (16,)).reshape(4, 4).T
-    matrix = np.eye(4)
-    if "rotation" in node:
-        matrix[:3, :3] = rotation_from_quaternion(node.array("rotation", (4,)), node, "rotation")
-    if "scale" in node:
-        matrix[:3, :3] *= node.array("scale", (3,))
-    if "translation" in node:
-        matrix[:3, 3] = node.array("translation", (3,))
-    return matrix
+            yield name, camera_from_pinhole(view, pose, OPENGL, node)
 
 
 def _intrinsics(fields: Fields, size: Size | None, by_trimesh: bool) -> Pinhole:

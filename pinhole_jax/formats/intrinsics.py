@@ -9,10 +9,11 @@ import numpy as np
 from .._camera.camera import Camera
 from .._camera.distortion import Distortion
 from .._camera.matrices import Centres
+from .._files.fields import Fields, Size, short
 from .._files.paths import FilePath, existing_file, file_and_name, is_folder, read_json
 from .._numerics.arrays import Input
+from .cameras import KIND
 from .colmap import colmap_intrinsics
-from .fields import KIND, Fields, Size, short
 from .native import camera_from_fields
 from .opencv import opencv_intrinsics
 from .pinhole import OPENGL, Pinhole, camera_from_pinhole, pinhole

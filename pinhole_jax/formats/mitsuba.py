@@ -17,19 +17,9 @@ import numpy as np
 
 from .._camera.camera import Camera
 from .._camera.poses import Pose, rigid
+from .._files.fields import Fields, Size, number, short
 from .._files.paths import FilePath, read_text
-from .fields import (
-    KIND,
-    Cameras,
-    Fields,
-    Size,
-    by_name,
-    check_cameras,
-    number,
-    parse_xml,
-    save_text,
-    short,
-)
+from .cameras import KIND, Cameras, by_name, check_cameras, parse_xml, save_text
 from .pinhole import (
     LEFT_UP_FORWARD,
     Pinhole,
@@ -40,7 +30,6 @@ from .pinhole import (
     pose_from_matrix,
     world_from_camera,
 )
-from .rotations import rotations
 from .unknown import unknown
 
 AXES = ("x", "y", "diagonal", "smaller", "larger")
@@ -240,6 +229,8 @@ def _focal(fields: Fields, W: int, H: int) -> float:
 
 def _step(kind: str, fields: Fields) -> Pose:
     """Return one operation of a transform as a (4, 4) matrix."""
+    from scipy.spatial.transform import Rotation
+
     turn, shift = np.eye(3), np.zeros(3)
     if kind == "matrix" and fields.shape("value") != (9,):
         return fields.array("value", (16,)).reshape(4, 4)
@@ -257,7 +248,7 @@ def _step(kind: str, fields: Fields) -> Pose:
         if not np.any(axis):
             raise fields.wrong("rotate", "an axis", "none")
         angle = np.deg2rad(fields.number("angle"))
-        turn = rotations().from_rotvec(angle * axis / np.linalg.norm(axis)).as_matrix()
+        turn = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)).as_matrix()
     elif kind == "translate":
         shift = _xyz(fields, 0)
     elif kind == "scale":

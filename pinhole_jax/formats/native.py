@@ -12,9 +12,10 @@ import numpy as np
 from .._camera.camera import Camera, ResizableCamera, basis, check_camera, focal_px, principal_point
 from .._camera.distortion import MODELS, Distortion
 from .._camera.lens import Lens
-from .._files.paths import FilePath, read_json as load_json, replace_file
+from .._files.fields import Fields, read_fields, short
+from .._files.paths import FilePath, replace_file
 from .._numerics.arrays import Input
-from .fields import Cameras, Fields, check_cameras, named_cameras, save_json, short
+from .cameras import KIND, Cameras, check_cameras, named_cameras, save_json
 
 CAMERA_SCHEMA = "pinhole_jax.camera/1"
 CAMERAS_SCHEMA = "pinhole_jax.cameras/1"
@@ -189,8 +190,7 @@ def load_camera(path: FilePath) -> Camera:
     camera = pj.io.load_camera("camera.json")
     ```
     """
-    data = load_json(path, "a camera file")
-    return camera_from_fields(Fields(data, repr(str(path))))
+    return camera_from_fields(read_fields(path, KIND))
 
 
 def _plain(numbers: Any) -> Any:

@@ -9,8 +9,9 @@ from collections.abc import Mapping
 
 from .._camera.camera import Camera
 from .._camera.distortion import BrownConrady, Fisheye, Rational
+from .._files.fields import Fields, Size, read_fields
 from .._files.paths import FilePath
-from .fields import Cameras, Fields, Size, by_name, check_cameras, load_json, save_json
+from .cameras import KIND, Cameras, by_name, check_cameras, save_json
 from .pinhole import (
     OPENGL,
     Pinhole,
@@ -49,7 +50,7 @@ def read_nerf(path: FilePath, *, size: Size | None = None) -> Cameras:
     cameras = pj.formats.read_nerf("transforms.json")
     ```
     """
-    top = load_json(path)
+    top = read_fields(path, KIND)
     frames = [_with_shared(frame, top) for frame in top.parts("frames")]
     names = [frame.text("file_path", default=str(k)) for k, frame in enumerate(frames)]
     cameras = (_camera(frame, size) for frame in frames)

@@ -13,7 +13,6 @@ from .._fit.words import in_digits
 from .._numerics.arrays import Input
 from .._solver.heading import carried
 from .pinhole import to_opencv
-from .rotations import rotations
 
 #: A fit's parameters that the pose depends on, in the order of `_derivative`'s columns.
 POSE = ("rotation_b1", "rotation_b2", "rotation_v", "e_x", "e_y", "e_z")
@@ -55,8 +54,10 @@ class ObjectPose(NamedTuple):
 
     def __str__(self) -> str:
         """Return it as the command prints it."""
+        from scipy.spatial.transform import Rotation
+
         turns, shifts = np.rad2deg(self.std[:3]), self.std[3:]
-        quaternion = rotations().from_matrix(self.R).as_quat(canonical=True)
+        quaternion = Rotation.from_matrix(self.R).as_quat(canonical=True)
         t = "".join(f"{in_digits(*x):>15}" for x in zip(self.t.tolist(), shifts, strict=True))
         digits = lambda numbers: "".join(f"{x:>15.2g}" for x in numbers)
         first = 0 if self.pixel_centres == "integer" else 0.5

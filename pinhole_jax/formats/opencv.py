@@ -15,9 +15,10 @@ from .._camera.camera import Camera
 from .._camera.distortion import BrownConrady, Distortion, Fisheye, Rational
 from .._camera.matrices import Centres, half_pixel
 from .._camera.poses import Pose, inverse, rigid
+from .._files.fields import NO, YES, Fields, Size, short
 from .._files.paths import FilePath
 from .._numerics.arrays import Input
-from .fields import NO, YES, Cameras, Fields, Size, by_name, check_cameras, save_text, short
+from .cameras import Cameras, by_name, check_cameras, save_text
 from .pinhole import (
     OPENCV,
     Pinhole,
@@ -26,7 +27,6 @@ from .pinhole import (
     pose_from_matrix,
     to_opencv,
 )
-from .rotations import rotations
 from .unknown import unknown
 
 #: The names under which a field is known; case, underscores, dots and hyphens do not count.
@@ -183,7 +183,9 @@ def write_opencv(
     if len(matrices) == 1:
         text += _matrix("R", R) + _matrix("t", t[:, None])
     else:
-        rows = [np.r_[rotations().from_matrix(R).as_rotvec(), t] for _, R, t in matrices]
+        from scipy.spatial.transform import Rotation
+
+        rows = [np.r_[Rotation.from_matrix(R).as_rotvec(), t] for _, R, t in matrices]
         text += _matrix("extrinsic_parameters", np.stack(rows))
     save_text(path, text)
 
@@ -282,7 +284,9 @@ def _poses(fields: Fields) -> list[Pose]:
 def _rotation(rvec: np.ndarray, fields: Fields, name: str) -> np.ndarray:
     if np.any(np.abs(rvec) > MOST_ANGLE):
         raise fields.wrong(name, f"a turn of at most {MOST_ANGLE:g} rad", rvec)
-    return rotations().from_rotvec(rvec).as_matrix()
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_rotvec(rvec).as_matrix()
 
 
 def _distortion(fields: Fields) -> Distortion | None:

@@ -13,8 +13,8 @@ from .._camera.camera import Camera, check_camera, focal_px, principal_point
 from .._camera.distortion import Distortion, Fisheye
 from .._camera.matrices import Centres, half_pixel
 from .._camera.poses import Pose, check_pose, inverse, pose_of
+from .._files.fields import Fields
 from .._numerics.arrays import ArrayLike, Input
-from .fields import Fields
 
 #: Camera frames as poses in OpenCV's (x right, y down, z forward): each is its own inverse.
 OPENCV = np.eye(4)

@@ -13,9 +13,10 @@ import numpy as np
 
 from .._camera.camera import Camera
 from .._camera.poses import inverse
+from .._files.fields import Fields, Size, read_fields
 from .._files.paths import FilePath
 from .._numerics.arrays import ArrayLike, Input
-from .fields import Cameras, Fields, Size, by_name, check_cameras, load_json, save_json
+from .cameras import KIND, Cameras, by_name, check_cameras, save_json
 from .pinhole import (
     LEFT_UP_FORWARD,
     Pinhole,
@@ -115,7 +116,7 @@ def read_pytorch3d(path: FilePath, *, size: Size | None = None) -> Cameras:
     cameras = pj.formats.read_pytorch3d("pytorch3d.json")
     ```
     """
-    top = load_json(path)
+    top = read_fields(path, KIND)
     count = len(top.array("R", (-1, 3, 3)))
     if "image_size" not in top and size is not None:
         top = Fields({**top.data, "image_size": [size[::-1]] * count}, top.where)

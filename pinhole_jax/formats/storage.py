@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import yaml
 
+from .._files.fields import Fields, short
 from .._files.paths import MOST_DEPTH, FilePath, first_repeat, is_deep, parse_json, read_text
-from .fields import KIND, Fields, parse_xml, short
+from .cameras import KIND, parse_xml
 
 #: The largest YAML that is read here, in characters (it takes a second and 0.3 GB).
 MOST_YAML = 1 << 20

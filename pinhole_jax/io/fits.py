@@ -12,11 +12,11 @@ import numpy as np
 
 from .._camera.camera import Camera
 from .._camera.matrices import Centres
-from .._files.paths import FilePath, read_json
+from .._files.fields import Fields, read_fields, short
+from .._files.paths import FilePath
 from .._fit.result import Fit, MaskError, Progress, check_fit
 from .._fit.words import STATUSES
 from .._numerics.arrays import Input
-from ..formats.fields import Fields, short
 from ..formats.native import (
     camera_from_fields,
     camera_to_dict,
@@ -102,7 +102,7 @@ def load_fit(path: FilePath) -> Fit:
     fit = pj.io.load_fit("fit.json")  # to the last bit of its float type
     ```
     """
-    return _fit(Fields(read_json(path, "a fit's file"), repr(str(path))))
+    return _fit(read_fields(path, "a fit's file"))
 
 
 def _rest(fit: Fit, pixel_centres: Any) -> dict[str, Any]:

@@ -1,22 +1,16 @@
-"""The fields of a camera file, taken out with checks that name the file and the field."""
+"""The fields of a file, taken out with checks that name the field, and the file it is in."""
 
-import json
-import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import zip_longest
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
-from .._camera.camera import Camera, check_camera
-from .._files.paths import FilePath, read_json, replace_file
+from .paths import FilePath, read_json
 
+Part = TypeVar("Part")
 #: Width and height of an image, px.
 Size = tuple[int, int]
-#: Cameras by name.
-Cameras = dict[str, Camera]
-#: What readers here expect a file to be.
-KIND = "a camera file"
 #: What stands for numbers that JSON has no word for.
 NOT_FINITE: dict[str | None, float] = {None: np.nan, "Infinity": np.inf, "-Infinity": -np.inf}
 YES, NO = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
@@ -72,13 +66,20 @@ class Fields:
         """Return an angle in (0, pi) rad."""
         return self.number(name, None, "an angle in (0, pi) rad", 0, np.pi)
 
-    def integer(self, name: str, least: int = 1) -> int:
+    def integer(self, name: str, least: int = 1, default: int | None = None) -> int:
         """Return a whole number of at least `least`, below 2**31; 640.0 counts as one."""
         expected = f"an integer of at least {least}"
-        value = self.number(name, None, expected, least - 1, 2**31)
+        value = self.number(name, default, expected, least - 1, 2**31)
         if value != int(value):
             raise self.wrong(name, expected, f"{value:g}")
         return int(value)
+
+    def chosen(self, name: str, parts: Sequence[Part], default: int | None = None) -> Part:
+        """Return the part of a list whose number a field has."""
+        number = self.integer(name, 0, default)
+        if number >= len(parts):
+            raise self.wrong(name, f"a number below {len(parts)}", str(number))
+        return parts[number]
 
     def array(
         self, name: str, shape: Sequence[int], expected: str = "", finite: bool = True
@@ -102,6 +103,15 @@ class Fields:
         """Return the shape of a field's numbers, () if it holds none."""
         array = _numbers(self.get(name, "numbers"))
         return () if array is None else array.shape
+
+    def rotation(self, name: str) -> np.ndarray:
+        """Return the rotation (3, 3) of a quaternion (x, y, z, w), of length 1 up to rounding."""
+        from scipy.spatial.transform import Rotation
+
+        quaternion = self.array(name, (4,))
+        if np.any(np.abs(quaternion) > 2) or abs(np.linalg.norm(quaternion) - 1) > 1e-3:
+            raise self.wrong(name, "a quaternion of length 1", quaternion)
+        return Rotation.from_quat(quaternion).as_matrix()
 
     def flag(self, name: str) -> bool:
         """Return True for true, 1, "true", "yes", "on", "1", and False for their opposites."""
@@ -153,77 +163,12 @@ class Fields:
         return own
 
 
-def load_json(path: FilePath) -> Fields:
-    """Return the fields of a JSON file."""
-    data = read_json(path, KIND)
+def read_fields(path: FilePath, kind: str) -> Fields:
+    """Return the fields of a JSON file; `kind` is what its readers expect."""
+    data = read_json(path, kind)
     if not isinstance(data, dict):
         raise ValueError(f"`path`: expected a JSON object, got {short(data)} in {str(path)!r}")
     return Fields(data, repr(str(path)))
-
-
-def named_cameras(path: FilePath, read: Callable[[Fields], Camera]) -> Cameras:
-    """Return the cameras of a JSON file: of its field `cameras` by name, or the file's one."""
-    top = load_json(path)
-    if "cameras" not in top:
-        return {top.text("name", default="camera"): read(top)}
-    parts = top.part("cameras")
-    return {name: read(parts.part(name)) for name in parts.data}
-
-
-def parse_xml(text: str, path: FilePath) -> ET.Element:
-    """Return the root of a file's XML, which has no DOCTYPE."""
-    try:
-        return ET.fromstring(text, ET.XMLParser(target=_NoDoctype()))
-    except (ET.ParseError, ValueError) as error:
-        raise ValueError(f"`path`: expected XML, got {str(path)!r}: {error}") from None
-
-
-class _NoDoctype(ET.TreeBuilder):
-    """A tree without a DOCTYPE, whose entities can grow without bound."""
-
-    def doctype(self, name: str, public: str, system: str) -> None:
-        raise ValueError("a DOCTYPE, which no camera file has")
-
-
-def save_json(path: FilePath, data: Any) -> None:
-    """Write JSON, whole or not at all."""
-    save_text(path, json.dumps(data, indent=1, allow_nan=False) + "\n")
-
-
-def save_text(path: FilePath, text: str) -> None:
-    """Write a text, whole or not at all."""
-    replace_file(path, text.encode())
-
-
-def check_cameras(
-    cameras: Any, program: str, can_hold: Callable[[str], Any] = lambda name: True
-) -> None:
-    """Raise ValueError unless these are cameras by names that a program can hold."""
-    if not isinstance(cameras, Mapping):
-        kind = type(cameras).__name__
-        raise ValueError(f"`cameras`: expected a dict of Cameras by their names, got {kind}")
-    if not cameras:
-        raise ValueError("`cameras`: expected at least one, got none")
-    for name, camera in cameras.items():
-        check_camera(camera, f"cameras[{short(name)}]")
-        try:
-            fits = isinstance(name, str) and name.encode() is not None and can_hold(name)
-        except UnicodeEncodeError:
-            fits = False
-        if not fits:
-            raise ValueError(f"`cameras`: expected names {program} can hold, got {short(name)}")
-
-
-def by_name(cameras: Iterable[tuple[str, Camera]], where: str) -> Cameras:
-    """Return cameras by name, or raise ValueError where two have the same."""
-    named: Cameras = {}
-    for name, camera in cameras:
-        if name in named:
-            raise ValueError(
-                f"expected one camera of each name, got two of {short(name)} (in {where})"
-            )
-        named[name] = camera
-    return named
 
 
 def _numbers(value: Any) -> np.ndarray | None:

@@ -1,0 +1,46 @@
+"""STL, binary and text: triangles."""
+
+import re
+
+import numpy as np
+
+from .numbers import parse_numbers, strip_mark
+from .polygons import Polygons
+
+#: A facet of a binary file.
+FACET = np.dtype([("normal", "<3f4"), ("corners", "<9f4"), ("attribute", "<u2")])
+#: A solid may have any name: all of its line.
+NAME = re.compile(rb"^([ \t]*(?:end)?solid\b).*", re.I | re.M)
+VERTEX = re.compile(rb"^[ \t]*vertex((?:[ \t]+\S+){3})[ \t]*$", re.I | re.M)
+WORD = re.compile(
+    rb"^[ \t]*(solid|endsolid|endloop|vertex(?=(?:[ \t]+\S+){3}[ \t]*$))\b", re.I | re.M
+)
+WHOLE = re.compile(rb"vertex vertex vertex endloop|solid|endsolid| ")
+
+
+def read_stl(data: bytes) -> Polygons:
+    """Return the triangles of an STL file: text, if its length is not that of its count.
+
+    Raises ValueError for text that is not whole, or has loops of other than three corners.
+    """
+    count = int.from_bytes(data[80:84], "little")
+    if len(data) == 84 + count * FACET.itemsize:
+        points = np.frombuffer(data, FACET, count, 84)["corners"].astype(float)
+    else:
+        points = parse_numbers(b"\n".join(_vertices(data, count)), float, "vertices")
+    corners = np.arange(points.size // 3)
+    return Polygons(points.reshape(-1, 3), corners, np.full(len(corners) // 3, 3))
+
+
+def _vertices(data: bytes, count: int) -> list[bytes]:
+    """Return the three words of each corner."""
+    data = strip_mark(data) if data[:2] != b"\0\0" else data
+    data = NAME.sub(rb"\1", data.replace(b"\r", b"\n"))
+    words = b" ".join(WORD.findall(data)).lower()
+    if not words.startswith(b"solid"):
+        raise ValueError(f"{len(data)} bytes for {count} faces, and no text either")
+    if not words.endswith(b"endsolid"):
+        raise ValueError("text without its end, `endsolid`")
+    if WHOLE.sub(b"", words):
+        raise ValueError("expected facets of three corners, of three coordinates, got others")
+    return VERTEX.findall(data)
