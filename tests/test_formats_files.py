@@ -84,7 +84,7 @@ WRONG = {
         ("18", '"50mm"', "`lens`: expected a positive number, got '50mm'"),
     ],
     "p3d.json": [
-        ("false", '"no"', "`in_ndc`: expected true or false, got 'no'"),
+        ("false", '"so"', "`in_ndc`: expected true or false, got 'so'"),
         ("[[0, 0, 3]]", "[[0, 0]]", r"`T`: expected finite numbers of shape \(1, 3\)"),
         ("{", '{"names": [], ', r"`names`: expected 1 names, got \[\]"),
         ("[[4, 4]]", "[[4, -4]]", r"`K`: expected positive .* fy = -4 \(in .*json', camera 0\)"),
@@ -444,9 +444,9 @@ def test_camera_is_read_by_name(tmp_path):
     assert float(formats.read_one(f"{tmp_path}/two.json:b").e[1]) == 1
     assert float(formats.read_one(tmp_path / "one.json").e[1]) == 0
     assert float(formats.read_one(f"{tmp_path}/one.json:a", size=(9, 9)).e[1]) == 0
-    with pytest.raises(ValueError, match=r"`path`: expected one camera, or a name .* got 2 in"):
+    with pytest.raises(ValueError, match=r"`path`: expected one camera, or FILE:NAME .* got 2 cameras"):
         formats.read_one(tmp_path / "two.json")
-    with pytest.raises(ValueError, match=r"`path`: expected a name among .*, got 'c'"):
+    with pytest.raises(ValueError, match=r"`path`: expected one .* among .*, got 'c'"):
         formats.read_one(f"{tmp_path}/two.json:c")
     with pytest.raises(FileNotFoundError):
         formats.read_one(tmp_path / "no.json")

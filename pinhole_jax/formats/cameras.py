@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from .._camera.camera import Camera, check_camera
-from .._files.fields import Fields, read_fields, short
+from .._files.fields import Fields, Part, read_fields, short
 from .._files.paths import FilePath, replace_file
 
 #: Cameras by name.
@@ -66,6 +66,18 @@ def check_cameras(
             fits = False
         if not fits:
             raise ValueError(f"`cameras`: expected names {program} can hold, got {short(name)}")
+
+
+def chosen(cameras: Mapping[str, Part], name: str | None, where: str) -> Part:
+    """Return the camera of this name; without one, the only one."""
+    if name is None and len(cameras) == 1:
+        name = next(iter(cameras))
+    if name is None or name not in cameras:
+        known = short([*cameras])
+        words = f"one camera, or FILE:NAME with a name among {known}"
+        got = f"{len(cameras)} cameras" if name is None else repr(name)
+        raise ValueError(f"`path`: expected {words}, got {got} (in {where})")
+    return cameras[name]
 
 
 def by_name(cameras: Iterable[tuple[str, Camera]], where: str) -> Cameras:

@@ -131,9 +131,9 @@ def detect(
         image = np.asarray(silhouette(camera, scene, overlaps=False), float)
         inside = image > 0.5
         columns = zip(*(reading.words for reading in group), strict=True)
-        words = (" or ".join(dict.fromkeys(column)) for column in columns)
+        axes, direction, centres, fov_axis = (" or ".join(dict.fromkeys(c)) for c in columns)
         iou = _iou(inside if is_hard else image, target)
-        ranked.append((Hypothesis(iou, *words, camera), inside))
+        ranked.append((Hypothesis(iou, axes, direction, centres, fov_axis, camera), inside))
     ranked.sort(key=lambda pair: -pair[0].iou)
     return _verdict(ranked, target > 0.5)
 

@@ -9,14 +9,13 @@ from .._files.fields import Size, short
 from .._files.paths import (
     FilePath,
     as_path,
-    existing_file,
     file_and_name,
     is_folder,
     read_json as load_json,
     read_text,
 )
 from .blender import SCHEMA as BLENDER_SCHEMA, read_blender, write_blender, write_blender_script
-from .cameras import KIND, Cameras, parse_xml
+from .cameras import KIND, Cameras, chosen, parse_xml
 from .colmap import read_colmap, write_colmap
 from .gltf import read_gltf, write_gltf
 from .mitsuba import read_mitsuba, write_mitsuba
@@ -55,6 +54,7 @@ FORMATS = {
     "mitsuba": Format(read_mitsuba, write_mitsuba, (".xml",)),
 }
 ENDINGS = {ending: name for name, format in FORMATS.items() for ending in format.endings}
+COLMAP_FILES = ("cameras.txt", "images.txt", "cameras.bin", "images.bin")
 #: Fields by which JSON is taken for the project's own.
 OWN = {"schema", "e", "p", "u", "phi", "phi_degrees", "lens", "W", "H"}
 
@@ -74,10 +74,8 @@ def read(path: FilePath, format: str | None = None, *, size: Size | None = None)
     ```
     """
     place = as_path(path)
-    if not is_folder(place):
-        existing_file(place, KIND)
     name = _checked(format) or _guess_read(place)
-    if place.is_file() and place.stem in ("cameras", "images") and name.startswith("colmap"):
+    if name.startswith("colmap") and place.name in COLMAP_FILES and not is_folder(place):
         place = place.parent
     reader = FORMATS[name].read
     if reader is None:
@@ -105,20 +103,9 @@ def read_one(path: FilePath, *, size: Size | None = None) -> Camera:
     ```
     """
     place, name = file_and_name(path)
-    if not is_folder(place):
-        existing_file(place, KIND)
     format = _guess_read(place)
     cameras = read(place, format, size=size if FORMATS[format].sized else None)
-    known = short([*cameras])
-    if name is None and len(cameras) > 1:
-        raise ValueError(
-            f"`path`: expected one camera, or a name after a colon, got {len(cameras)} in"
-            f" {str(place)!r}: {known}"
-        )
-    name = next(iter(cameras)) if name is None else name
-    if name not in cameras:
-        raise ValueError(f"`path`: expected a name among {known}, got {name!r} (in {str(place)!r})")
-    return cameras[name]
+    return chosen(cameras, name, repr(str(place)))
 
 
 def write(path: FilePath, cameras: Mapping[str, Camera], format: str | None = None) -> None:
@@ -145,7 +132,7 @@ def _checked(format: str | None) -> str | None:
 
 
 def _guess_read(path: Path) -> str:
-    if is_folder(path) or path.name in ("cameras.txt", "images.txt", "cameras.bin", "images.bin"):
+    if is_folder(path) or path.name in COLMAP_FILES:
         return "colmap"
     if path.suffix.lower() == ".xml":
         root = parse_xml(read_text(path, KIND), path)

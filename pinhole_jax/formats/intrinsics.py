@@ -9,10 +9,10 @@ import numpy as np
 from .._camera.camera import Camera
 from .._camera.distortion import Distortion
 from .._camera.matrices import Centres
-from .._files.fields import Fields, Size, short
+from .._files.fields import Fields, Size
 from .._files.paths import FilePath, existing_file, file_and_name, is_folder, read_json
 from .._numerics.arrays import Input
-from .cameras import KIND
+from .cameras import KIND, chosen
 from .colmap import colmap_intrinsics
 from .native import camera_from_fields
 from .opencv import opencv_intrinsics
@@ -63,7 +63,7 @@ def read_intrinsics(
         place = next((model for model in models if model.exists()), place / COLMAP[-1])
     existing_file(place, KIND)
     if place.name in COLMAP:
-        return _unplaced(*_chosen(colmap_intrinsics(place), name, repr(str(place))))
+        return _unplaced(*chosen(colmap_intrinsics(place), name, repr(str(place))))
     fields = _fields(place, name)
     if fields.data.keys() >= OWN:
         own = camera_from_fields(fields)
@@ -77,17 +77,6 @@ def _unplaced(view: Pinhole, distortion: Distortion | None, fields: Fields) -> C
     return camera_from_pinhole(view, pose, OPENGL, fields, distortion)
 
 
-def _chosen(cameras: Mapping[str, Any], name: str | None, where: str) -> Any:
-    """Return the camera of this name, without one that of all."""
-    if name is None and len({*map(str, cameras.values())}) == 1:
-        name = next(iter(cameras))
-    if name is None or name not in cameras:
-        known = short([*cameras])
-        words = f"one camera, or FILE:NAME with a name among {known}, got {name or known}"
-        raise ValueError(f"`path`: expected {words} (in {where})")
-    return cameras[name]
-
-
 def _fields(place: Path, camera: str | None) -> Fields:
     """Return a file's fields, those of the intrinsics as OpenCV's calibrations name them."""
     from . import storage
@@ -99,7 +88,7 @@ def _fields(place: Path, camera: str | None) -> Fields:
     data = {str(name).rpartition(".")[2]: value for name, value in fields.data.items()}
     chain = {name: part for name, part in data.items() if CAMCHAIN.fullmatch(name)}
     if chain or camera is not None:
-        data = dict(Fields(_chosen(chain, camera, fields.where), fields.where).data)
+        data = dict(Fields(chosen(chain, camera, fields.where), fields.where).data)
     for name in ("camera", "intrinsics", "projection_parameters"):
         if isinstance(part := data.get(name), Mapping) and "data" not in part:
             data = {**data, **part}

@@ -51,10 +51,11 @@ def read_nerf(path: FilePath, *, size: Size | None = None) -> Cameras:
     ```
     """
     top = read_fields(path, KIND)
-    frames = [_with_shared(frame, top) for frame in top.parts("frames")]
-    names = [frame.text("file_path", default=str(k)) for k, frame in enumerate(frames)]
-    cameras = (_camera(frame, size) for frame in frames)
-    return by_name(zip(names, cameras, strict=True), top.where)
+    frames = enumerate(_with_shared(frame, top) for frame in top.parts("frames"))
+    cameras = (
+        (frame.text("file_path", default=str(k)), _camera(frame, size)) for k, frame in frames
+    )
+    return by_name(cameras, top.where)
 
 
 def write_nerf(path: FilePath, cameras: Mapping[str, Camera]) -> None:
@@ -98,8 +99,7 @@ def _camera(fields: Fields, size: Size | None) -> Camera:
     coefficients = {name: fields.number(name) for name in COEFFICIENTS if name in fields}
     distortion = distortion_model(coefficients, fields, (Fisheye if fisheye else BrownConrady,))
     W, H = fields.size("w", "h", size)
-    fx = _focal(fields, "x", W)
-    fy = _focal(fields, "y", H)
+    fx, fy = _focal(fields, "x", W), _focal(fields, "y", H)
     if fx is None:
         expected = "fl_x (px) or camera_angle_x (rad, horizontal)"
         raise fields.wrong("fl_x", expected, "neither")

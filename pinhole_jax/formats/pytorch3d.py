@@ -27,6 +27,14 @@ from .pinhole import (
 )
 
 SCHEMA = "pytorch3d.PerspectiveCameras"
+#: The arrays of a file, and the shape of each camera's.
+SHAPES = {
+    "R": (3, 3),
+    "T": (3,),
+    "focal_length": (2,),
+    "principal_point": (2,),
+    "image_size": (2,),
+}
 
 
 def to_pytorch3d(camera: Camera) -> dict[str, np.ndarray]:
@@ -77,32 +85,37 @@ def from_pytorch3d(
         "R": _without_batch(R, 2),
         "T": _without_batch(T, 1),
         "image_size": _without_batch(image_size, 1),
+        "focal_length": _without_batch(focal_length, 1),
+        "principal_point": _without_batch(principal_point, 1),
         "fov": fov,
         "aspect_ratio": aspect_ratio,
     }
-    fields = Fields({k: x for k, x in given.items() if x is not None}, "the arguments")
-    H, W = _size(fields)
     if (fov is None) == (focal_length is None):
         raise ValueError("expected `focal_length` or `fov`, got both or neither")
+    fields = {name: value for name, value in given.items() if value is not None}
+    return _camera(Fields(fields, "the arguments"), in_ndc)
+
+
+def _camera(fields: Fields, in_ndc: bool) -> Camera:
+    H, W = fields.array("image_size", (2,))
+    whole = Fields({"H": H, "W": W}, f"{fields.where}, image_size")
+    H, W = whole.integer("H"), whole.integer("W")
     half = min(W, H) / 2
-    if fov is not None:
+    if "fov" in fields:
         fy = half / np.tan(fields.angle("fov") / 2)
-        focal = np.array([fy / fields.positive("aspect_ratio"), fy])
+        fx = fy / fields.positive("aspect_ratio")
     else:
-        focal = np.atleast_1d(_without_batch(focal_length, 1))
-        if focal.shape not in ((1,), (2,)) or focal.dtype != float:
-            raise fields.wrong("focal_length", "one number or two", focal_length)
-        focal = focal * (half if in_ndc else 1.0)
+        pair = fields.shape("focal_length") == (2,)
+        focal = fields.array("focal_length", (2,) if pair else (), "one number or two")
+        fx, fy = np.broadcast_to(focal * (half if in_ndc else 1.0), 2)
     cx, cy = W / 2, H / 2
-    if principal_point is not None:
-        centre = {"principal_point": _without_batch(principal_point, 1)}
-        x, y = Fields(centre, fields.where).array("principal_point", (2,))
+    if "principal_point" in fields:
+        x, y = fields.array("principal_point", (2,))
         cx, cy = (cx - half * x, cy - half * y) if in_ndc else (x, y)
-    view = Pinhole(float(focal[0]), float(focal[-1]), float(cx), float(cy), W, H)
     pose = np.c_[fields.array("R", (3, 3)).T, fields.array("T", (3,))]
-    return camera_from_pinhole(
-        view, inverse(pose_from_matrix(pose, fields, "R")), LEFT_UP_FORWARD, fields
-    )
+    world_from_camera = inverse(pose_from_matrix(pose, fields, "R"))
+    view = Pinhole(float(fx), float(fy), float(cx), float(cy), W, H)
+    return camera_from_pinhole(view, world_from_camera, LEFT_UP_FORWARD, fields)
 
 
 def read_pytorch3d(path: FilePath, *, size: Size | None = None) -> Cameras:
@@ -118,9 +131,9 @@ def read_pytorch3d(path: FilePath, *, size: Size | None = None) -> Cameras:
     """
     top = read_fields(path, KIND)
     count = len(top.array("R", (-1, 3, 3)))
-    if "image_size" not in top and size is not None:
-        top = Fields({**top.data, "image_size": [size[::-1]] * count}, top.where)
-    names = [str(k) for k in range(count)]
+    sizes = {} if size is None or "image_size" in top else {"image_size": [size[::-1]] * count}
+    top = Fields({**top.data, **sizes}, top.where)
+    names = map(str, range(count))
     if "names" in top:
         names = map(str, top.items("names", count, f"{count} names"))
     return by_name(zip(names, _cameras(top, count, size), strict=True), top.where)
@@ -128,20 +141,14 @@ def read_pytorch3d(path: FilePath, *, size: Size | None = None) -> Cameras:
 
 def _cameras(top: Fields, count: int, size: Size | None) -> Iterator[Camera]:
     """Yield the cameras of a file's arrays."""
-    in_ndc = top.get("in_ndc", "true or false")
-    if not isinstance(in_ndc, bool):
-        raise top.wrong("in_ndc", "true or false", repr(in_ndc))
-    shapes = {"R": (3, 3), "T": (3,), "focal_length": (2,), "principal_point": (2,)}
-    shapes["image_size"] = (2,)
-    arrays = [top.array(name, (count, *shape)) for name, shape in shapes.items()]
+    in_ndc = top.flag("in_ndc")
+    arrays = [top.array(name, (count, *shape)) for name, shape in SHAPES.items()]
     for k, values in enumerate(zip(*arrays, strict=True)):
-        if size is not None and tuple(values[-1]) != size[::-1]:
-            raise top.wrong("image_size", f"(H, W) = ({size[1]}, {size[0]})", values[-1])
-        try:
-            yield from_pytorch3d(**dict(zip(shapes, values, strict=True)), in_ndc=in_ndc)
-        except ValueError as error:
-            words = str(error).replace("the arguments", f"{top.where}, camera {k}")
-            raise ValueError(words) from None
+        fields = Fields(dict(zip(SHAPES, values, strict=True)), f"{top.where}, camera {k}")
+        if size is not None and tuple(fields.data["image_size"]) != size[::-1]:
+            words = f"(H, W) = ({size[1]}, {size[0]})"
+            raise fields.wrong("image_size", words, fields.data["image_size"])
+        yield _camera(fields, in_ndc)
 
 
 def write_pytorch3d(path: FilePath, cameras: Mapping[str, Camera]) -> None:
@@ -163,11 +170,4 @@ def _without_batch(value: Any, axes: int) -> Any:
         array = np.asarray(value, float)
     except (TypeError, ValueError):
         return value
-    return array[0] if array.ndim == axes + 1 and len(array) == 1 else array
-
-
-def _size(fields: Fields) -> tuple[int, int]:
-    """Return (H, W) of `image_size`."""
-    H, W = fields.array("image_size", (2,))
-    whole = Fields({"H": H, "W": W}, f"{fields.where}, image_size")
-    return whole.integer("H"), whole.integer("W")
+    return array[0] if array.ndim == axes + 1 and len(array) == 1 else value

@@ -1,5 +1,6 @@
 """Crops and resizes of a camera's image."""
 
+import jax
 import jax.numpy as jnp
 
 from .._camera.camera import Camera, check_camera, focal_px, principal_point
@@ -33,9 +34,8 @@ def cropped(
     centred = is_concrete(x0, y0) and (2 * x0 + W, 2 * y0 + H) == (camera.W, camera.H)
     if camera.lens is None and centred:
         return plain
-    (fx, fy), (x, y) = focal_px(camera), principal_point(camera)
-    corner = jnp.stack([x - x0, y - (camera.H - H - y0)])
-    return plain.replace(lens=Lens(corner, fx / fy, camera.distortion))
+    x, y = principal_point(camera)
+    return plain.replace(lens=_lens(camera, x - x0, y - (camera.H - H - y0)))
 
 
 def resized(camera: Camera, W: Input[int, "px"], H: Input[int, "px"]) -> Camera:
@@ -53,7 +53,11 @@ def resized(camera: Camera, W: Input[int, "px"], H: Input[int, "px"]) -> Camera:
     plain = camera.replace(W=W, H=H, lens=None)  # checks W and H
     if camera.lens is None and W * camera.H == H * camera.W:
         return plain
-    (fx, fy), (x, y) = focal_px(camera), principal_point(camera)
-    scale_x, scale_y = W / camera.W, H / camera.H
-    centre = jnp.stack([x * scale_x, y * scale_y])
-    return plain.replace(lens=Lens(centre, fx / fy * (scale_x / scale_y), camera.distortion))
+    (x, y), wider, taller = principal_point(camera), W / camera.W, H / camera.H
+    return plain.replace(lens=_lens(camera, x * wider, y * taller, wider / taller))
+
+
+def _lens(camera: Camera, x: jax.Array, y: jax.Array, stretch: float = 1.0) -> Lens:
+    """Return the lens with its principal point at (x, y) px, its pixels stretched."""
+    fx, fy = focal_px(camera)
+    return Lens(jnp.stack([x, y]), fx / fy * stretch, camera.distortion)
