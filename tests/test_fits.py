@@ -163,7 +163,7 @@ def test_missing_field_is_named(tmp_path, field):
     [
         (json.dumps(io.camera_to_dict(CAMERA)), "`fit`: expected the field .*, got no such field"),
         ('{"fit": 3}', "`fit`: expected .*, got 3"),
-        ("[1]", r"expected fields with names, got \[1\]"),
+        ("[1]", r"expected a JSON object, got \[1\]"),
         ("no JSON", "`path`: expected JSON, got"),
     ],
 )

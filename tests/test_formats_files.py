@@ -444,7 +444,7 @@ def test_camera_is_read_by_name(tmp_path):
     assert float(formats.read_one(f"{tmp_path}/two.json:b").e[1]) == 1
     assert float(formats.read_one(tmp_path / "one.json").e[1]) == 0
     assert float(formats.read_one(f"{tmp_path}/one.json:a", size=(9, 9)).e[1]) == 0
-    with pytest.raises(ValueError, match=r"`path`: expected one camera, or FILE:NAME .* got 2 cameras"):
+    with pytest.raises(ValueError, match=r"expected one camera, or FILE:NAME .* got 2 cameras"):
         formats.read_one(tmp_path / "two.json")
     with pytest.raises(ValueError, match=r"`path`: expected one .* among .*, got 'c'"):
         formats.read_one(f"{tmp_path}/two.json:c")

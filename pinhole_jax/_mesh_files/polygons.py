@@ -1,9 +1,8 @@
 """Polygons of any number of corners, in any plane of space, cut into triangles.
 
 A fan from the first corner is right only where that corner sees all others. A polygon is therefore
-laid into the plane of its Newell normal, the sum of its fan's area vectors, and cut there. Quads
-are cut by the diagonal that leaves both halves facing the normal's way, others as a fan where that
-is right, else by manifold3d. Its triangles meet edge to edge, also at corners in line, so that a
+laid into the plane of its Newell normal, the sum of its fan's area vectors, and cut there: as a
+fan where that is right, else by manifold3d. Its triangles meet edge to edge, also at corners in line, so that a
 closed mesh stays closed. A triangle runs the way its polygon runs.
 
 The triangles' areas have to add up to the polygon's own, up to the rounding of 32 bits. Where they
@@ -109,22 +108,15 @@ def _without_joints(triangles: np.ndarray) -> np.ndarray:
 
 
 def _fans(space: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (m, n - 2, 3) triangles of (m, n, 3) polygons, and where they are right (m,).
-
-    They are fans of the corners 0 to n - 1 from the first, or of quads from the second.
-    """
+    """Return (m, n - 2, 3) fans of (m, n, 3) polygons from their first corners, and where these
+    are right (m,)."""
     m, n = space.shape[:2]
     fans = np.tile(_fan(n), (m, 1, 1))
     if n == 3:
         return fans, np.ones(m, bool)
 
     flat, _ = _laid_flat(space)
-    right = _fans_are_right(flat)
-    if n == 4:
-        other = ~right & _fans_are_right(np.roll(flat, -1, axis=1))
-        fans[other] = [[1, 2, 3], [1, 3, 0]]
-        right |= other
-    return fans, right
+    return fans, _fans_are_right(flat)
 
 
 def _fan(n: int) -> np.ndarray:
