@@ -2,28 +2,42 @@
 
     python tests/fuzz_readers.py --seconds 60 [--seed 0] [--only obj,nerf]
 
-Valid files are damaged byte by byte and word by word. A worker reads them within a limit of memory;
-a bell rings after 5 s of the processor. Prints how many each reader took, and each input that broke
-the contract; then it ends with 1.
+Each reader has a process with a limit of memory; a bell rings after 5 s of the processor. Where
+atheris is installed, libFuzzer damages a valid file and keeps what reaches new branches, until one
+breaks the contract; else files are damaged at random, byte by byte and word by word, and all kinds
+of wrong errors are printed. It ends with 1 if there were any.
 """
 
 import argparse
+import contextlib
 import json
+import os
 import re
 import resource
 import signal
+import subprocess
 import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import trimesh
 
-import pinhole_jax as pj
+try:
+    import atheris  # pyright: ignore
+except ModuleNotFoundError:
+    atheris = None
+
+READERS = [f"pinhole_jax.{name}" for name in ("_files", "_mesh_files", "formats", "io", "robots")]
+with getattr(atheris, "instrument_imports", lambda _: contextlib.nullcontext())(READERS):
+    import pinhole_jax as pj
+
+    for part in ("formats", "io", "robots"):
+        getattr(pj, part)
 
 GB, SECONDS = 1 << 30, 5.0
 WORDS = [
@@ -142,14 +156,45 @@ def broken(target: Target, path: Path) -> BaseException | None:
     return None
 
 
-def fuzzed(
-    target: Target, path: Path, random: np.random.Generator, seconds: float
-) -> Iterator[BaseException | None]:
-    """Yield what is wrong with each of a target's damaged files."""
-    end = time.process_time() + seconds
+def guided(target: Target, path: Path, seconds: float, keep: Path) -> None:
+    """Read what libFuzzer makes of a valid file; ends the process, with 77 at a wrong error."""
+    assert atheris
+    corpus = path.parent / "corpus"
+    corpus.mkdir()
+    (corpus / "valid").write_bytes(target.valid)
+
+    def read(data: bytes) -> None:
+        path.write_bytes(data)
+        if (error := broken(target, path)) is not None:
+            raise error
+
+    ways = (
+        f"-max_total_time={seconds:.0f}",
+        "-rss_limit_mb=0",
+        "-verbosity=0",
+        "-print_final_stats=1",
+    )
+    atheris.Setup([sys.argv[0], *ways, f"-artifact_prefix={keep}/", str(corpus)], read)
+    atheris.Fuzz()
+
+
+def random(target: Target, path: Path, seconds: float, keep: Path, seed: int) -> int:
+    """Read damaged files, print each kind of wrong error, and return 1 if there were any."""
+    chance, end = np.random.default_rng(seed), time.process_time() + seconds
+    seen, count = set(), 0
     while time.process_time() < end:
-        path.write_bytes(damaged(target.valid, random))
-        yield broken(target, path)
+        path.write_bytes(damaged(target.valid, chance))
+        count += 1
+        if (error := broken(target, path)) is None:
+            continue
+        frame = traceback.extract_tb(error.__traceback__)[-1]
+        if (place := (type(error), frame.filename, frame.lineno)) not in seen:
+            seen.add(place)
+            where = f"{Path(frame.filename).name}:{frame.lineno}"
+            print(f"input {count}: {type(error).__name__} at {where}: {error}")
+            (keep / f"{target.file.replace('/', '_')}_{count}").write_bytes(path.read_bytes())
+    print(f"{count} inputs, {len(seen)} kinds of wrong errors", flush=True)
+    return int(bool(seen))
 
 
 def limit_memory() -> None:
@@ -160,37 +205,34 @@ def limit_memory() -> None:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=60, help="of the processor, in all")
+    parser.add_argument("--seconds", type=float, default=60, help="in all")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", type=lambda names: names.split(","), default=None)
-    parser.add_argument("--keep", type=Path, help="a folder for the inputs that broke something")
+    parser.add_argument("--keep", type=Path, default=Path(), help="inputs that broke something")
     asked = parser.parse_args()
-    signal.signal(signal.SIGPROF, ring)
-    wrong = 0
     with tempfile.TemporaryDirectory() as name:
         known = targets(Path(name))
         names = [name for name in known if asked.only is None or name in asked.only]
+        seconds = asked.seconds / len(names)
+        if len(names) > 1:
+            worker = [
+                sys.executable,
+                "-W",
+                "ignore",
+                *sys.argv,
+                "--seconds",
+                str(seconds),
+                "--only",
+            ]
+            run = lambda kind: subprocess.run([*worker, kind], env={**os.environ, "TMPDIR": name})
+            return max(print(kind, flush=True) or run(kind).returncode for kind in names)
+        target = known[names[0]]
+        asked.keep.mkdir(exist_ok=True)
+        signal.signal(signal.SIGPROF, ring)
         limit_memory()
-        for kind in names:
-            target, seen, count = known[kind], set(), 0
-            path, random = Path(name) / target.file, np.random.default_rng(asked.seed)
-            for error in fuzzed(target, path, random, asked.seconds / len(names)):
-                count += 1
-                if error is None:
-                    continue
-                frame = traceback.extract_tb(error.__traceback__)[-1]
-                if (place := (type(error), frame.filename, frame.lineno)) in seen:
-                    continue
-                seen.add(place)
-                where = f"{Path(frame.filename).name}:{frame.lineno}"
-                print(f"{kind}, input {count}: {type(error).__name__} at {where}: {error}")
-                if asked.keep:
-                    asked.keep.mkdir(exist_ok=True)
-                    (asked.keep / f"{kind}_{count}").write_bytes(path.read_bytes())
-            path.write_bytes(target.valid)
-            wrong += len(seen)
-            print(f"{kind}: {count} inputs, {len(seen)} kinds of wrong errors", flush=True)
-    return int(wrong > 0)
+        if atheris:
+            guided(target, Path(name) / target.file, seconds, asked.keep)
+        return random(target, Path(name) / target.file, seconds, asked.keep, asked.seed)
 
 
 if __name__ == "__main__":
