@@ -121,7 +121,7 @@ def detect(
         raise ValueError("`mask`: expected one that covers some pixels, got none or all")
     H, W = target.shape
     readings = [
-        Reading((*words, *more), view, place)
+        Convention((*words, *more), view, place)
         for (words, place), (more, view) in product(_poses(pose), _views(W, H, K, focal_px, fov))
     ]
     is_hard = bool(np.all((target == 0) | (target == 1)))
@@ -138,7 +138,7 @@ def detect(
     return _verdict(ranked, target > 0.5)
 
 
-class Reading(NamedTuple):
+class Convention(NamedTuple):
     """A reading of the numbers: its `words` (see `LABELS`), intrinsics, and a pose in OpenCV's
     axes."""
 
@@ -191,14 +191,14 @@ def _poses(pose: ArrayLike) -> Iterator[tuple[tuple[str, str], Pose]]:
         yield (axes, "world_from_camera" + words), transform @ frame
 
 
-def _camera(reading: Reading) -> Camera:
+def _camera(reading: Convention) -> Camera:
     """Return the camera with a lens, needed or not: then one compiled program serves all."""
     where = Fields({}, "the arguments")
     camera = camera_from_pinhole(reading.view, reading.world_from_camera, OPENCV, where)
     return camera.replace(lens=camera.lens or Lens([camera.W / 2, camera.H / 2]))
 
 
-def _promising(scene: Scene, target: np.ndarray, readings: list[Reading]) -> list[Reading]:
+def _promising(scene: Scene, target: np.ndarray, readings: list[Convention]) -> list[Convention]:
     """Return the readings that explain a small image of the target best."""
     from PIL import Image
 
@@ -208,7 +208,7 @@ def _promising(scene: Scene, target: np.ndarray, readings: list[Reading]) -> lis
     picture = Image.fromarray(target.astype(np.float32))
     small = np.asarray(picture.resize(size, Image.Resampling.BOX), float)
 
-    def agreement(reading: Reading) -> float:
+    def agreement(reading: Convention) -> float:
         camera = resized(_camera(reading), *size)
         return _iou(np.asarray(silhouette(camera, scene, overlaps=False), float), small)
 
@@ -221,9 +221,9 @@ def _iou(image: np.ndarray, target: np.ndarray) -> float:
     return float(np.minimum(image, target).sum() / np.maximum(image, target).sum())
 
 
-def _alike(readings: list[Reading]) -> list[list[Reading]]:
+def _alike(readings: list[Convention]) -> list[list[Convention]]:
     """Return groups of readings: each group's make one camera."""
-    groups: list[list[Reading]] = []
+    groups: list[list[Convention]] = []
     scale = max(float(np.max(np.abs(reading.world_from_camera))) for reading in readings)
     for reading in readings:
         for group in groups:

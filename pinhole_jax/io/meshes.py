@@ -23,8 +23,8 @@ def load_mesh(path: str | os.PathLike[str], say: Callable[[str], object] | None 
     Polygons of any shape in any plane are cut into triangles that run the way they do. Vertices at
     exactly the same place are merged so that faces share edges. Axes and lengths are the file's.
 
-    - trimesh reads STL and glTF. A glTF scene has its nodes' transforms; triangles and strips
-      count, lines and points do not. Buffers are read from the file's folder and below.
+    - A glTF scene has its nodes' transforms; triangles and strips count, lines and points do not.
+      Buffers are read from the file's folder and below.
     - Of an obj file all polygons count; the material files that it names are not opened.
     - A Collada scene (needs pycollada and lxml, which `[robots]` installs) has its nodes'
       transforms, and is in metres by its `<unit>`; `<up_axis>` turns nothing.
