@@ -97,7 +97,7 @@ def open_file(path: Any, kind: str, most: int | None = MOST_BYTES) -> BinaryIO:
 def read_bytes(path: Any, kind: str, most: int = MOST_BYTES) -> bytes:
     """Return a file's contents, or raise as `existing_file`."""
     with open_file(path, kind, most) as stream, _refusal(path, kind):
-        size = os.fstat(stream.fileno()).st_size or most
+        size = os.fstat(stream.fileno()).st_size or MOST_BYTES
         data = stream.read(min(size, most) + 1)
         if len(data) > most:  # one that grows, or does not tell its size
             raise ValueError(f"more than {most} bytes")

@@ -2,8 +2,8 @@
 
 A fan from the first corner is right only where that corner sees all others. A polygon is therefore
 laid into the plane of its Newell normal, the sum of its fan's area vectors, and cut there: as a
-fan where that is right, else by manifold3d. Its triangles meet edge to edge, also at corners in line, so that a
-closed mesh stays closed. A triangle runs the way its polygon runs.
+fan where that is right, else by manifold3d. Its triangles meet edge to edge, also at corners in
+line, so that a closed mesh stays closed. A triangle runs the way its polygon runs.
 
 The triangles' areas have to add up to the polygon's own, up to the rounding of 32 bits. Where they
 do not, the sides cross.
