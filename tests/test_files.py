@@ -11,7 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 from PIL import Image
+from refusals import refusal
 
 import pinhole_jax as pj
 from pinhole_jax import formats, io
@@ -54,7 +56,7 @@ def test_folders_and_devices_are_never_replaced(tmp_path, monkeypatch, save):
     for name, (make, words) in NO_FILES.items():
         make(Path(name))
         before = os.lstat(name)
-        with pytest.raises(ValueError, match=rf"`path`: expected a file to write.*{words}"):
+        with refusal(rf"`path`: expected a file to write.*{words}"):
             SAVES[save](name)
         after = os.lstat(name)
         assert (after.st_mode, after.st_ino) == (before.st_mode, before.st_ino)
@@ -155,9 +157,9 @@ def test_endless_files_and_folders_are_not_read(tmp_path, monkeypatch, read):
             continue
         make(Path(f"{name}.obj"))
         words = rf"`path`: expected .*{name}\.obj': (not a reg|more|a folder)"
-        with pytest.raises(ValueError, match=words):
+        with refusal(words):
             READS[read](f"{name}.obj")
-    with pytest.raises(ValueError, match=r"`path`: expected .*too long"):
+    with refusal(r"`path`: expected .*too long"):
         READS[read]("a" * 5000)
     with pytest.raises(FileNotFoundError, match=r"`path`: expected .*no such file"):
         READS[read]("no.obj")
@@ -170,16 +172,16 @@ def test_endless_files_of_a_model_are_not_read(tmp_path, monkeypatch, file):
     for make in ENDLESS.values():
         os.unlink(file)
         make(Path(file))
-        with pytest.raises(ValueError, match=file):
+        with refusal(file):
             formats.read(".")
 
 
 def test_field_given_twice_is_refused(tmp_path):
     text = json.dumps(io.camera_to_dict(CAMERA))
     (tmp_path / "c.json").write_text(text[:-1] + ', "phi": 0.3}')
-    with pytest.raises(ValueError, match=r"expected JSON, got .*c.json': the field 'phi' twice"):
+    with refusal(r"expected JSON, got .*c.json': the field 'phi' twice"):
         io.load_camera(tmp_path / "c.json")
-    with pytest.raises(ValueError, match=r"`more`: expected fields that no camera has.*\['phi'\]"):
+    with refusal(r"`more`: expected fields that no camera has.*\['phi'\]"):
         io.save_camera(tmp_path / "d.json", CAMERA, phi=0.3)
 
 
@@ -377,7 +379,7 @@ def test_picture_formats_alone_are_opened(tmp_path):
         if format in {*KNOWN.values(), "MPO"}:  # MPO: the JPEG of many telephones
             assert io.load_image(path).shape == (20, 30, 3)
         elif format != "DIB":
-            with pytest.raises(ValueError, match=r"expected a readable image \(PNG, JPEG, TIFF"):
+            with refusal(r"expected a readable image \(PNG, JPEG, TIFF"):
                 io.load_image(path)
     assert tried > 12
 
@@ -453,7 +455,7 @@ def test_soft_edges_are_the_same_band_by_band(tmp_path):
     for copies in (1, 30):
         Image.fromarray(np.tile(blurred, (copies, 1, 1))).save(tmp_path / "p.png")
         masks.append(io.load_mask(tmp_path / "p.png", "background=white"))
-    np.testing.assert_array_equal(masks[1], np.tile(masks[0], (30, 1)))
+    assert_array_equal(masks[1], np.tile(masks[0], (30, 1)))
     assert len(np.unique(masks[0])) > 9
 
 
@@ -464,14 +466,14 @@ def test_webp_that_takes_too_much_memory_is_refused(tmp_path):
     data = bytearray(path.read_bytes())
     struct.pack_into("<I", data, data.index(b"VP8L") + 9, 14_000 - 1 | 7_000 - 1 << 14)
     path.write_bytes(data)
-    with pytest.raises(ValueError, match="a WebP of more than 89478485 pixels"):
+    with refusal("a WebP of more than 89478485 pixels"):
         io.load_image(path)
 
 
 def test_noise_is_no_mask(tmp_path):
     noise = np.uint8(255 * (np.indices((1500, 1500)).sum(0) % 2))
     Image.fromarray(noise).save(tmp_path / "n.png")
-    with pytest.raises(ValueError, match=r"expected a mask, .* a picture of \d+ parts: noise"):
+    with refusal(r"expected a mask, .* a picture of \d+ parts: noise"):
         io.load_mask(tmp_path / "n.png", "background=white")
 
 
@@ -494,5 +496,5 @@ def test_file_names_need_not_be_text(tmp_path):
 
 @pytest.mark.parametrize("path", ["", "x" * 5000 + ".json", "x" * 5000])
 def test_impossible_path_is_refused(path):
-    with pytest.raises(ValueError, match="`path`: expected a"):
+    with refusal("`path`: expected a"):
         formats.read(path)

@@ -8,7 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 from oracles import drawn
+from refusals import refusal
 
 import pinhole_jax as pj
 from pinhole_jax import formats, io
@@ -45,7 +47,7 @@ def assert_equal(fit, other):
             assert a == b
         else:
             assert np.asarray(a).dtype == np.asarray(b).dtype
-            np.testing.assert_array_equal(a, b, strict=True)
+            assert_array_equal(a, b, strict=True)
 
 
 def as_float32(fit):
@@ -112,11 +114,11 @@ def test_fit_file_is_strict_json_and_a_camera_file(tmp_path):
 
 def test_non_fits_are_not_written(tmp_path):
     # Unwrapped, as users have it: the tests' own check of types would come first.
-    with pytest.raises(ValueError, match="`fit`: expected a Fit, got Camera"):
+    with refusal("`fit`: expected a Fit, got Camera"):
         inspect.unwrap(io.fit_to_dict)(CAMERA)
     broken = fit_of(CAMERA)
     broken = broken._replace(camera=eqx.tree_at(lambda c: c.phi, CAMERA, jnp.asarray(np.nan)))
-    with pytest.raises(ValueError, match="expected what JSON can hold"):
+    with refusal("expected what JSON can hold"):
         io.save_fit(tmp_path / "x.json", broken)
     assert not list(tmp_path.iterdir())
 
@@ -145,7 +147,7 @@ def test_wrong_field_is_named(tmp_path, change, message):
     data = io.fit_to_dict(fit_of(CAMERA))
     path = tmp_path / "fit.json"
     path.write_text(json.dumps({**data, "fit": {**data["fit"], **change}}))
-    with pytest.raises(ValueError, match=f"{message}.*fit.json.*"):
+    with refusal(f"{message}.*fit.json.*"):
         io.load_fit(path)
 
 
@@ -154,7 +156,7 @@ def test_missing_field_is_named(tmp_path, field):
     data = io.fit_to_dict(fit_of(CAMERA))
     del data["fit"][field]
     (tmp_path / "fit.json").write_text(json.dumps(data))
-    with pytest.raises(ValueError, match=f"`{field}`: expected .*, got no such field .*fit.json"):
+    with refusal(f"`{field}`: expected .*, got no such field .*fit.json"):
         io.load_fit(tmp_path / "fit.json")
 
 
@@ -169,7 +171,7 @@ def test_missing_field_is_named(tmp_path, field):
 )
 def test_other_files_are_no_fits(tmp_path, text, message):
     (tmp_path / "camera.json").write_text(text)
-    with pytest.raises(ValueError, match=rf"{message}.*camera\.json"):
+    with refusal(rf"{message}.*camera\.json"):
         io.load_fit(tmp_path / "camera.json")
 
 
@@ -177,7 +179,7 @@ def test_lens_that_folds_outside_the_object_comes_back(tmp_path):
     """A fit trusts a distortion in the object's window alone."""
     folding = pj.Lens([32, 24], 1.0, pj.BrownConrady(-3.0))
     camera = eqx.tree_at(lambda c: c.lens, CAMERA, folding)
-    with pytest.raises(ValueError, match="folds back"):
+    with refusal("folds back"):
         PLAIN.replace(lens=folding)
     fit = fit_of(camera)
     io.save_fit(tmp_path / "fit.json", fit)

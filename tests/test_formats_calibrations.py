@@ -5,6 +5,8 @@ import json
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
+from refusals import refusal
 
 import pinhole_jax as pj
 from pinhole_jax import formats
@@ -33,7 +35,7 @@ def check_sees_as_opencv(path, model):
     xy = np.asarray(pj.project(camera, jnp.asarray(POINTS)))
     assert type(camera.lens.distortion).__name__ == model
     seen = np.stack([xy[:, 0] - 0.5, camera.H - xy[:, 1] - 0.5], axis=1)
-    np.testing.assert_allclose(seen, seen_by_opencv(model), rtol=0, atol=1e-8)
+    assert_allclose(seen, seen_by_opencv(model), rtol=0, atol=1e-8)
 
 
 MODELS = {
@@ -114,7 +116,7 @@ def test_lens_that_is_not_understood_is_refused(tmp_path, line):
     coefficients = "dist: [ 1, 2, 3, 4, 5 ]\n" if REFUSED[line] is None else COEFFICIENTS
     message = REFUSED[line] or "`distortion_coefficients`: expected 4 coefficients of a fisheye"
     (tmp_path / "c.yaml").write_text(f"{HEAD}{MATRIX}{coefficients}{line}\n{TAIL}")
-    with pytest.raises(ValueError, match=message):
+    with refusal(message):
         formats.read(tmp_path / "c.yaml")
 
 
@@ -152,7 +154,7 @@ XML_CASES = {
 @pytest.mark.parametrize("text", XML_CASES, ids=range(len(XML_CASES)))
 def test_wrong_opencv_xml(tmp_path, text):
     (tmp_path / "c.xml").write_text(text)
-    with pytest.raises(ValueError, match=XML_CASES[text]):
+    with refusal(XML_CASES[text]):
         formats.read(tmp_path / "c.xml", None if "storage>" in text[-9:] else "opencv")
 
 
@@ -191,7 +193,7 @@ FOREIGN = {
 def test_files_of_other_programs_are_named(tmp_path, name):
     text, message = FOREIGN[name]
     (tmp_path / name).write_text(text)
-    with pytest.raises(ValueError, match=message):
+    with refusal(message):
         formats.read(tmp_path / name)
 
 
@@ -213,7 +215,7 @@ def test_frames_intrinsics_come_before_the_files(tmp_path, frame, wanted):
     (tmp_path / "t.json").write_text(json.dumps({**SHARED, "frames": frames}))
     (camera,) = formats.read(tmp_path / "t.json").values()
     lens = camera.lens.distortion
-    np.testing.assert_allclose(np.diag(camera.K)[:2], (fx, fy), rtol=1e-12)
+    assert_allclose(np.diag(camera.K)[:2], (fx, fy), rtol=1e-12)
     assert type(lens).__name__ == model
     assert (float(lens.k1), p1 and float(lens.p1)) == (k1, p1)
 

@@ -7,6 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
+from refusals import refusal
 from test_distortion import BROWN, camera as lens_camera
 
 import pinhole_jax as pj
@@ -195,6 +197,7 @@ def test_wrong_fields_of_every_format_are_named(tmp_path, file):
     for name, text in RIGHT.items():
         (tmp_path / name).write_text(text)
     path = tmp_path if file.endswith("txt") else tmp_path / file
+    assert formats.read(path)
     for old, new, message in WRONG[file]:
         assert old in RIGHT[file]
         count = -1 if old == "sensor" else 1
@@ -202,15 +205,8 @@ def test_wrong_fields_of_every_format_are_named(tmp_path, file):
         if message is None:
             assert list(formats.read(path)) == ["a"]
             continue
-        with pytest.raises(ValueError, match=message):
+        with refusal(message):
             formats.read(path)
-
-
-@pytest.mark.parametrize("file", RIGHT)
-def test_right_files_are_read(tmp_path, file):
-    for name, text in RIGHT.items():
-        (tmp_path / name).write_text(text)
-    assert formats.read(tmp_path if file.endswith("txt") else tmp_path / file)
 
 
 def test_truncated_files_are_refused(tmp_path):
@@ -220,7 +216,7 @@ def test_truncated_files_are_refused(tmp_path):
         first = whole.find(b"camera_matrix") if name == "c.yaml" else 1
         for end in range(first, len(whole.rstrip()), 7):
             (tmp_path / name).write_bytes(whole[:end])
-            with pytest.raises(ValueError, match="expected"):
+            with refusal("expected"):
                 formats.read(tmp_path / name)
     formats.write(tmp_path / "c.glb", {"a": CAMERA})
     whole = (tmp_path / "c.glb").read_bytes()
@@ -230,7 +226,7 @@ def test_truncated_files_are_refused(tmp_path):
         (b"{", "`path`: expected glTF, got"),
     ):
         (tmp_path / "c.glb").write_bytes(data)
-        with pytest.raises(ValueError, match=message):
+        with refusal(message):
             formats.read(tmp_path / "c.glb")
 
 
@@ -240,7 +236,7 @@ def test_colmap_text_may_begin_with_a_byte_order_mark(tmp_path):
             (tmp_path / name).write_text("\ufeff" + comment + RIGHT[name], "utf-8")
         marked = formats.read(tmp_path)
         assert [*marked] == ["a.png", "b.png"]
-        np.testing.assert_allclose(marked["a.png"].e, [1, 2, 3], atol=1e-12)
+        assert_allclose(marked["a.png"].e, [1, 2, 3], atol=1e-12)
 
 
 def test_wrong_colmap_binary(tmp_path):
@@ -256,7 +252,7 @@ def test_wrong_colmap_binary(tmp_path):
             wrong[other] = "`MODEL`: expected one of .*, got number 7"
         for data, message in wrong.items():
             (tmp_path / name).write_bytes(data)
-            with pytest.raises(ValueError, match=message):
+            with refusal(message):
                 formats.read(tmp_path)
         (tmp_path / name).write_bytes(whole)
 
@@ -264,7 +260,7 @@ def test_wrong_colmap_binary(tmp_path):
 def test_model_is_not_written_beside_another(tmp_path):
     formats.write(tmp_path / "model", {"a": CAMERA})
     formats.write(tmp_path / "model", {"a": LENS})  # over its own kind it is
-    with pytest.raises(ValueError, match=r"`folder`: expected none of another model, got camera"):
+    with refusal(r"`folder`: expected none of another model, got camera"):
         formats.write(tmp_path / "model", {"a": CAMERA}, "colmap-binary")
     with pytest.raises(FileNotFoundError, match="`folder`: expected a COLMAP model"):
         formats.read(tmp_path)
@@ -301,7 +297,7 @@ NAMES = "`format`: expected one of json, opencv, colmap, .* 'usd'"
     ],
 )
 def test_unsupported_cameras_are_not_written(tmp_path, name, cameras, format, message):
-    with pytest.raises(ValueError, match=message):
+    with refusal(message):
         formats.write(tmp_path / name, cameras, format)
     assert not list(tmp_path.iterdir())
 
@@ -337,11 +333,11 @@ def test_size_is_for_files_without_one(tmp_path):
         (camera,) = formats.read(tmp_path / name, size=(20, 11)).values()
         assert (camera.W, camera.H) == (20, 11)
     (camera,) = formats.read(tmp_path / "transforms.json", size=(20, 11)).values()
-    np.testing.assert_allclose(np.tan(camera.phi / 2), np.tan(0.5) * 11 / 20, rtol=1e-12)
+    assert_allclose(np.tan(camera.phi / 2), np.tan(0.5) * 11 / 20, rtol=1e-12)
     for name in ("a.yaml", "own.json", "folder", "transforms_b.json", "pytorch3d.json"):
         formats.write(tmp_path / name, {"a": CAMERA})
         assert list(formats.read(tmp_path / name, size=(40, 31))) == ["a"]
-        with pytest.raises(ValueError, match=r"expected .*40"):
+        with refusal(r"expected .*40"):
             formats.read(tmp_path / name, size=(20, 11))
 
 
@@ -353,7 +349,7 @@ def test_files_are_never_half_written(tmp_path, monkeypatch):
         raise OSError("disk full")
 
     monkeypatch.setattr("os.replace", broken)
-    with pytest.raises(ValueError, match="disk full"):
+    with refusal("disk full"):
         formats.write(tmp_path / "c.yaml", {"a": LENS})
     assert (tmp_path / "c.yaml").read_text() == before
     assert [p.name for p in tmp_path.iterdir()] == ["c.yaml"]
@@ -373,23 +369,18 @@ def test_files_are_never_half_written(tmp_path, monkeypatch):
 )
 def test_wrong_pytorch3d_arguments(change, message):
     good = {"R": np.eye(3), "T": [0, 0, 3], "image_size": (6, 8), "focal_length": 1.0}
-    with pytest.raises(ValueError, match=message):
+    with refusal(message):
         formats.from_pytorch3d(**{**good, **change})
 
 
-def test_pixel_centres_are_those_that_are_asked_for(tmp_path):
-    half, integer = (formats.to_opencv(LENS, pixel_centres=c)[0] for c in ("half", "integer"))
-    np.testing.assert_allclose((half - integer)[:2, 2], 0.5, rtol=0, atol=1e-12)
-    formats.write_opencv(tmp_path / "c.yaml", {"a": LENS}, pixel_centres="half")
-    assert max(map(float, pj.pose_error(formats.read(tmp_path / "c.yaml")["a"], LENS))) < 1e-12
-    back = formats.read(tmp_path / "c.yaml")["a"].lens.principal_point
-    np.testing.assert_allclose(back, LENS.lens.principal_point, atol=1e-12)
-    for call in (
-        lambda: formats.to_opencv(CAMERA, pixel_centres="corner"),
-        lambda: formats.read_opencv(tmp_path / "c.yaml", pixel_centres="corner"),
-    ):
-        with pytest.raises(ValueError, match="`pixel_centres`: expected 'integer' or 'half'"):
-            call()
+def test_pixel_centres_of_a_file_are_those_that_it_names(tmp_path):
+    path = tmp_path / "c.yaml"
+    formats.write_opencv(path, {"a": LENS}, pixel_centres="half")
+    back = formats.read(path)["a"]
+    assert max(map(float, pj.pose_error(back, LENS))) < 1e-12
+    assert_allclose(back.lens.principal_point, LENS.lens.principal_point, atol=1e-12)
+    with refusal("`pixel_centres`: expected 'integer' or 'half'"):
+        formats.read_opencv(path, pixel_centres="corner")
 
 
 POINTS = jnp.asarray(np.random.default_rng(0).normal(size=(5, 3)) * 0.5)
@@ -412,7 +403,7 @@ def test_crops_and_resizes_are_those_of_images():
         (crop(crop(LENS, 7, -3, 11, 44), -7, 3, LENS.W, LENS.H), seen(LENS)),
         (resize(crop(CAMERA, 4, 2, 20, 10), 40, 20), 2 * (seen(CAMERA) - [4, 2])),
     ):
-        np.testing.assert_allclose(seen(camera), film, atol=1e-12)
+        assert_allclose(seen(camera), film, atol=1e-12)
     assert crop(CAMERA, 5, 3, 30, 25).lens is None  # the middle stays the middle
     assert resize(CAMERA, 80, 62).lens is None
 
@@ -424,16 +415,16 @@ def test_crops_and_resizes_differentiate():
         return jnp.sum(pj.project(camera, POINTS))
 
     slope, h = jax.grad(moved)(0.7), 1e-5
-    np.testing.assert_allclose(slope, (moved(0.7 + h) - moved(0.7 - h)) / (2 * h), rtol=1e-7)
+    assert_allclose(slope, (moved(0.7 + h) - moved(0.7 - h)) / (2 * h), rtol=1e-7)
 
 
 @pytest.mark.parametrize("W", [0, 2.5])
 def test_bad_windows_are_refused(W):
-    with pytest.raises(ValueError, match="`left`: expected finite values"):
+    with refusal("`left`: expected finite values"):
         formats.cropped(CAMERA, np.nan, 0, 5, 5)
-    with pytest.raises(ValueError, match="`W`: expected an integer of at least 1"):
+    with refusal("`W`: expected an integer of at least 1"):
         formats.cropped(CAMERA, 0, 0, W, 5)
-    with pytest.raises(ValueError, match="`W`: expected an integer of at least 1"):
+    with refusal("`W`: expected an integer of at least 1"):
         formats.resized(CAMERA, W, 5)
 
 
@@ -444,9 +435,9 @@ def test_camera_is_read_by_name(tmp_path):
     assert float(formats.read_one(f"{tmp_path}/two.json:b").e[1]) == 1
     assert float(formats.read_one(tmp_path / "one.json").e[1]) == 0
     assert float(formats.read_one(f"{tmp_path}/one.json:a", size=(9, 9)).e[1]) == 0
-    with pytest.raises(ValueError, match=r"expected one camera, or FILE:NAME .* got 2 cameras"):
+    with refusal(r"expected one camera, or FILE:NAME .* got 2 cameras"):
         formats.read_one(tmp_path / "two.json")
-    with pytest.raises(ValueError, match=r"`path`: expected one .* among .*, got 'c'"):
+    with refusal(r"`path`: expected one .* among .*, got 'c'"):
         formats.read_one(f"{tmp_path}/two.json:c")
     with pytest.raises(FileNotFoundError):
         formats.read_one(tmp_path / "no.json")

@@ -5,6 +5,7 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 import pinhole_jax as pj
 from pinhole_jax import formats
@@ -40,7 +41,7 @@ def names_of_yaml(path):
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
     names = storage.getNode("camera_names")
     K = storage.getNode("camera_matrix").mat()
-    np.testing.assert_array_equal(K, formats.to_opencv(FIRST, pixel_centres="integer")[0])
+    assert_array_equal(K, formats.to_opencv(FIRST, pixel_centres="integer")[0])
     return [names.at(k).string() for k in range(names.size())]
 
 
@@ -95,7 +96,7 @@ def check_round_trip(folder, format, names):
             assert (camera.W, camera.H) == (original.W, original.H)
             angle, shift = map(float, pj.pose_error(camera, original))
             assert angle + shift / float(abs(original.e).max()) < 1e-6
-            np.testing.assert_allclose(camera.K, original.K, rtol=1e-9)
+            assert_allclose(camera.K, original.K, rtol=1e-9)
     return True
 
 

@@ -5,6 +5,8 @@ import json
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
+from refusals import refusal
 from test_distortion import BROWN, FISHEYE, RATIONAL, camera as lens_camera
 
 import pinhole_jax as pj
@@ -93,9 +95,7 @@ def test_readers_match_numbers_worked_out_by_hand(tmp_path, files):
         (tmp_path / name).write_text(text)
         (camera,) = formats.read(tmp_path / name).values()
         assert ((8, 6) if files is SQUARE else (7, 5)) == (camera.W, camera.H)
-        np.testing.assert_allclose(
-            image_points(camera, [[1.5, 3, 1]]), [[5, 1]], atol=1e-12, err_msg=name
-        )
+        assert_allclose(image_points(camera, [[1.5, 3, 1]]), [[5, 1]], atol=1e-12, err_msg=name)
 
 
 @pytest.mark.parametrize("camera", ["1 PINHOLE 7 5 4 2 4 2", "1 SIMPLE_RADIAL 8 6 4 4 3 0"])
@@ -104,7 +104,7 @@ def test_colmap_by_hand(tmp_path, camera):
     # Half a turn about x, then t = -R e.
     (tmp_path / "images.txt").write_text("# Number of images: 1\n7 0 1 0 0 -1 2 3 1 a b.png\n")
     camera = formats.read(tmp_path)["a b.png"]
-    np.testing.assert_allclose(image_points(camera, [[1.5, 3, 1]]), [[5, 1]], atol=1e-12)
+    assert_allclose(image_points(camera, [[1.5, 3, 1]]), [[5, 1]], atol=1e-12)
 
 
 TURNED = pj.Camera([0.0, 1, 4], [0, 0, 0.2], [0, 1, 0], 0.7, 1.0, 64, 49)
@@ -141,9 +141,7 @@ def test_round_trips_keep_the_camera(tmp_path, name):
         for key, camera in group.items():
             assert (back[key].W, back[key].H) == (camera.W, camera.H)
             assert type(back[key].distortion) is type(camera.distortion)
-            np.testing.assert_allclose(
-                image_points(back[key]), image_points(camera), rtol=0, atol=1e-10
-            )
+            assert_allclose(image_points(back[key]), image_points(camera), rtol=0, atol=1e-10)
         assert not [p for p in path.parent.iterdir() if p.name.startswith("tmp")]
 
 
@@ -158,7 +156,7 @@ def test_round_trips_keep_the_camera(tmp_path, name):
     ],
 )
 def test_distortion_that_a_format_cannot_hold_is_refused(tmp_path, name, lens, message):
-    with pytest.raises(ValueError, match=f"`cameras`: {message}"):
+    with refusal(f"`cameras`: {message}"):
         formats.write(tmp_path / name, {"a": LENSES[lens]})
     assert not list(tmp_path.iterdir())
 
@@ -176,7 +174,7 @@ def test_opencv_reads_our_files_and_projects_alike(tmp_path):
         )
         assert storage.getNode("image_width").real() == camera.W
         theirs = cv2.projectPoints(POINTS, cv2.Rodrigues(R)[0], t, K, bent)[0].reshape(-1, 2)
-        np.testing.assert_allclose(theirs + 0.5, image_points(camera), rtol=0, atol=1e-9)
+        assert_allclose(theirs + 0.5, image_points(camera), rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("binary", [False, True])
@@ -188,13 +186,13 @@ def test_colmap_projects_alike_and_its_models_are_read(tmp_path, binary):
     assert {image.name for image in model.images.values()} == set(cameras)
     for image in model.images.values():
         theirs = np.array([image.project_point(point) for point in POINTS])
-        np.testing.assert_allclose(theirs, image_points(cameras[image.name]), rtol=0, atol=1e-9)
+        assert_allclose(theirs, image_points(cameras[image.name]), rtol=0, atol=1e-9)
     (tmp_path / "theirs").mkdir()
     (model.write_binary if binary else model.write_text)(str(tmp_path / "theirs"))
     for name in (".", f"images.{'bin' if binary else 'txt'}"):
         back = formats.read(tmp_path / "theirs" / name)
         for name, camera in cameras.items():
-            np.testing.assert_allclose(image_points(back[name]), image_points(camera), atol=1e-9)
+            assert_allclose(image_points(back[name]), image_points(camera), atol=1e-9)
 
 
 def test_gltf_is_what_trimesh_writes(tmp_path):
@@ -205,7 +203,7 @@ def test_gltf_is_what_trimesh_writes(tmp_path):
     scene.camera_transform = np.array(formats.to_blender(BASE)["matrix_world"])
     scene.export(tmp_path / "theirs.glb")
     (back,) = formats.read(tmp_path / "theirs.glb", size=(64, 49)).values()
-    np.testing.assert_allclose(float(back.phi), np.deg2rad(40), rtol=1e-9)
+    assert_allclose(float(back.phi), np.deg2rad(40), rtol=1e-9)
     assert max(map(float, pj.pose_error(back, BASE))) < 1e-6
 
 
@@ -236,7 +234,7 @@ def test_blender_recorded(tmp_path, settings, film):
     (tmp_path / "b.json").write_text(json.dumps(fields))
     camera = formats.read(tmp_path / "b.json")["camera"]
     points = jnp.array([[0.5, 0.25, -0.5], [-0.25, 0.75, 0.5]])
-    np.testing.assert_allclose(pj.project(camera, points).ravel(), film, rtol=0, atol=1e-5)
+    assert_allclose(pj.project(camera, points).ravel(), film, rtol=0, atol=1e-5)
 
 
 def test_script_and_json_say_the_same():
@@ -278,11 +276,11 @@ def test_pytorch3d_recorded(size, ndc, fov):
     camera = formats.from_pytorch3d(
         R, T, H_W, focal_length=[1.75, 2], principal_point=[0.125, -0.25]
     )
-    np.testing.assert_allclose(image_points(camera, points).ravel(), ndc, atol=1e-12)
+    assert_allclose(image_points(camera, points).ravel(), ndc, atol=1e-12)
     back = formats.from_pytorch3d(in_ndc=False, **formats.to_pytorch3d(camera))
-    np.testing.assert_allclose(image_points(back, points).ravel(), ndc, atol=1e-12)
+    assert_allclose(image_points(back, points).ravel(), ndc, atol=1e-12)
     camera = formats.from_pytorch3d(R, T, H_W, fov=np.deg2rad(50), aspect_ratio=1.25)
-    np.testing.assert_allclose(image_points(camera, points).ravel(), fov, atol=1e-12)
+    assert_allclose(image_points(camera, points).ravel(), fov, atol=1e-12)
 
 
 FILM = """<film type="hdrfilm"><integer name="width" value="9"/>
@@ -362,7 +360,7 @@ def test_poses_that_opencv_wrote(shared):
     poses = storage.getNode("extrinsic_parameters").mat()
     for camera, pose in zip(cameras.values(), poses, strict=True):
         theirs = cv2.projectPoints(corners, pose[:3], pose[3:], K, k)[0].reshape(-1, 2)
-        np.testing.assert_allclose(theirs + 0.5, image_points(camera, corners), rtol=0, atol=1e-9)
+        assert_allclose(theirs + 0.5, image_points(camera, corners), rtol=0, atol=1e-9)
 
 
 def test_published_files(shared):
@@ -370,9 +368,9 @@ def test_published_files(shared):
     (camera,) = formats.read(
         shared / "cameras/nerf_blender_lego/transforms_train.json", size=(800, 800)
     ).values()
-    np.testing.assert_allclose(float(camera.phi), 0.6911112070083618, rtol=1e-12)
-    np.testing.assert_allclose(camera.e, [-0.05379832, 3.84547043, 1.20808232], atol=1e-8)
+    assert_allclose(float(camera.phi), 0.6911112070083618, rtol=1e-12)
+    assert_allclose(camera.e, [-0.05379832, 3.84547043, 1.20808232], atol=1e-8)
     # The scene's middle is what it looks at.
-    np.testing.assert_allclose(pj.project(camera, jnp.zeros(3)), [400, 400], atol=20)
-    with pytest.raises(ValueError, match=r"`camera_matrix`: expected .* no such field"):
+    assert_allclose(pj.project(camera, jnp.zeros(3)), [400, 400], atol=20)
+    with refusal(r"`camera_matrix`: expected .* no such field"):
         formats.read(shared / "photos/m3t_shampoo/color_camera.yaml")

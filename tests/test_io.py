@@ -4,8 +4,10 @@ import jax
 import numpy as np
 import pytest
 import trimesh
+from numpy.testing import assert_allclose, assert_array_equal
 from PIL import ExifTags, Image
 from PIL.TiffImagePlugin import IFDRational
+from refusals import refusal
 
 import pinhole_jax as pj
 from pinhole_jax import io
@@ -25,7 +27,7 @@ def test_formats_give_the_same_closed_mesh(tmp_path, ending):
         (12, 3),
         (18, 2),
     )
-    np.testing.assert_allclose(np.ptp(np.asarray(mesh.vertices), axis=0), 1)
+    assert_allclose(np.ptp(np.asarray(mesh.vertices), axis=0), 1)
     assert trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume > 0.999
 
 
@@ -69,14 +71,12 @@ def test_cameras_go_to_files_and_back(tmp_path, lens):
     io.save_camera(tmp_path / "deep" / "camera.json", camera, note="kept")
     back = io.load_camera(tmp_path / "deep" / "camera.json")
     for name in ("e", "p", "u", "phi", "d"):
-        np.testing.assert_array_equal(getattr(back, name), getattr(camera, name))
+        assert_array_equal(getattr(back, name), getattr(camera, name))
     assert (back.W, back.H) == (30, 20)
     assert (back.lens is None) == (lens is None)
     data = json.loads((tmp_path / "deep" / "camera.json").read_text())
     assert data["note"] == "kept"
-    np.testing.assert_allclose(
-        np.linalg.det([data["pose"][k] for k in ("right", "up", "forward")]), -1
-    )
+    assert_allclose(np.linalg.det([data["pose"][k] for k in ("right", "up", "forward")]), -1)
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ def test_cameras_go_to_files_and_back(tmp_path, lens):
 def test_wrong_fields_are_named(tmp_path, change, message):
     path = tmp_path / "camera.json"
     path.write_text(json.dumps({**io.camera_to_dict(CAMERA), **change}))
-    with pytest.raises(ValueError, match=message):
+    with refusal(message):
         io.load_camera(path)
 
 
@@ -115,10 +115,10 @@ def test_redundant_fields_may_be_left_out_or_rounded(tmp_path):
     data = io.camera_to_dict(CAMERA)
     pose = {name: np.round(value, 5).tolist() for name, value in data["pose"].items()}
     path.write_text(json.dumps({**data, "pose": pose, "phi_degrees": 40.11}))
-    np.testing.assert_array_equal(io.load_camera(path).phi, CAMERA.phi)
+    assert_array_equal(io.load_camera(path).phi, CAMERA.phi)
     del data["pose"], data["phi"]
     path.write_text(json.dumps({**data, "phi_degrees": 30}))
-    np.testing.assert_allclose(io.load_camera(path).phi, np.deg2rad(30))
+    assert_allclose(io.load_camera(path).phi, np.deg2rad(30))
 
 
 def save_exif(path, size, orientation=1, **tags):
@@ -205,13 +205,13 @@ def test_exif_that_contradicts_itself_says_so(tmp_path):
 @pytest.mark.parametrize("mask", [[[0.0, 1, 1.5]], [[False, True, True]], [[0, 255, 255]]])
 def test_masks_of_any_type_are_read_as_coverage(mask):
     array = np.array(mask, np.uint8 if mask[0][1] == 255 else None)
-    np.testing.assert_array_equal(io.as_coverage(array), [[0, 1, 1]])
+    assert_array_equal(io.as_coverage(array), [[0, 1, 1]])
 
 
 def test_mask_of_labels_is_no_coverage():
-    with pytest.raises(ValueError, match="`mask`: expected integers that are all 0 or 1"):
+    with refusal("`mask`: expected integers that are all 0 or 1"):
         io.as_coverage(np.array([[0, 3, 7]]))
-    with pytest.raises(ValueError, match=r"`mask`: expected shape \(H, W\)"):
+    with refusal(r"`mask`: expected shape \(H, W\)"):
         io.as_coverage(np.zeros(3))
 
 
@@ -219,7 +219,7 @@ def test_text_and_json_are_written_whole_and_read_back(tmp_path):
     path = tmp_path / "deep" / "page.txt"
     io.save_text(path, "größer <b>1</b> \udcff")
     assert io.load_text(path) == r"größer <b>1</b> \udcff"
-    with pytest.raises(ValueError, match=r"expected a text file, got .*: more than 10 bytes"):
+    with refusal(r"expected a text file, got .*: more than 10 bytes"):
         io.load_text(path, most_bytes=10)
     io.save_text(path, '{"a": [1, 2]}')
     assert io.load_json(path) == {"a": [1, 2]}
@@ -231,4 +231,4 @@ def test_picture_of_any_kind_is_read_as_rgb(tmp_path):
         io.save_image(tmp_path / "image.png", image)
         rgb = io.load_image(tmp_path / "image.png", rgb=True)
         expected = image[..., :3] if image.ndim == 3 else np.stack([image] * 3, axis=-1)
-        np.testing.assert_array_equal(rgb, expected)
+        assert_array_equal(rgb, expected)

@@ -5,6 +5,7 @@ import time
 import numpy as np
 import pytest
 import shapely
+from refusals import refusal
 from scipy.spatial.transform import Rotation
 
 from pinhole_jax._mesh_files import Polygons, triangulate
@@ -158,7 +159,7 @@ def test_quads_that_are_not_flat_are_cut_so_that_both_halves_face_their_way():
 )
 def test_sides_that_cross_are_refused(corners):
     space = in_space(corners)
-    with pytest.raises(ValueError, match="face 2: its sides cross"):
+    with refusal("face 2: its sides cross"):
         triangulate(Polygons(space, np.r_[:3, : len(space)], np.array([3, len(space)])))
 
 
@@ -168,7 +169,7 @@ def test_two_million_corners_are_cut_in_seconds_or_refused():
     space = in_space(blob(n, spread=0))
     a, b, c = np.moveaxis(space[cut(space)], 1, 0)
     assert np.sum(np.cross(b - a, c - a)[:, 2]) / 2 == pytest.approx(np.pi)
-    with pytest.raises(ValueError, match=r"face 1: 2000000 corners, not all seen"):
+    with refusal(r"face 1: 2000000 corners, not all seen"):
         cut(in_space(blob(n)))
     assert time.process_time() - start < 60
     assert len(cut(in_space(blob(20_000)))) == 19_998
