@@ -1,104 +1,68 @@
-"""What does each constant that decides something buy?
+"""What does each rule that a fit decides by buy?
 
-    python experiments/rent.py constants [OUT] [--only NAME,...] [--trials N] [--resume]
+    python experiments/rent.py rules [OUT] [--only NAME,...] [--trials N] [--resume]
 
-The constants of the files that choose cameras, statuses and intervals are read from the code,
-with the comments that say what they decide. Each is halved and doubled (all numbers of a tuple at
-once), and the trials of `honesty.py` that it is for are run again: near-symmetric shapes for the
-search, wrong masks for the likelihood, occluders for what looks behind them.
+`pinhole_jax/_rules.py` holds the numbers that choose cameras, statuses and intervals, with what
+each decides. Each is halved and doubled (all numbers of a tuple at once), and the trials of
+`honesty.py` that it is for are run again: near-symmetric shapes for proposals and places, wrong
+masks for the likelihood, occluders for what looks behind them.
 """
 
 import ast
-import importlib
 import json
 import time
 from pathlib import Path
-from types import ModuleType
 from typing import Any, NamedTuple
 
 import honesty
-import numpy as np
 from _common import Asked, main, show
 
-#: The files whose constants decide, and the trials that they are for.
-FILES = {
-    "exact": (
-        "_fit.places",
-        "_fit.strategy",
-        "_fit.result",
-        "_fit.fit_camera",
-        "_mask.kinds",
-        "_outline.statistics",
-        "_solver.solver",
-        "_solver.uncertainty",
-        "_mask.search",
-    ),
-    "wrong": ("_fit.likelihood", "_fit.refine", "_outline.outline_errors", "_outline.stretches"),
-    "occluded": ("_fit.occluders",),
-}
+import pinhole_jax as pj
+from pinhole_jax._rules import RULES
 
 
-class Constant(NamedTuple):
-    """A number or numbers at the top of a module, and what its comment says."""
+class Rule(NamedTuple):
+    """A rule's name, what its comment says that it decides, and the trials that it is for."""
 
-    module: ModuleType
     name: str
-    about: str
+    decides: str
     trials: str
-
-    @property
-    def value(self) -> Any:
-        return getattr(self.module, self.name)
 
     def times(self, factor: float) -> Any:
         """The value times a factor: whole numbers stay whole, and at least 1."""
-        return _times(self.value, factor)
+        return _times(getattr(RULES, self.name), factor)
 
 
 def _times(value: Any, factor: float) -> Any:
     if isinstance(value, tuple):
         return tuple(_times(x, factor) for x in value)
-    if isinstance(value, int | np.integer):
+    if isinstance(value, int):
         return max(round(value * factor), 1)
     return value * factor
 
 
-def is_number(value: Any) -> bool:
-    if isinstance(value, tuple):
-        return all(map(is_number, value))
-    numeric = isinstance(value, int | float | np.number) or (
-        isinstance(value, np.ndarray) and value.size < 20
-    )
-    return numeric and not isinstance(value, bool)
-
-
-def constants() -> list[Constant]:
-    """All constants of `FILES`."""
-    found = []
-    for trials, names in FILES.items():
-        for name in names:
-            module = importlib.import_module(f"pinhole_jax.{name}")
-            text = Path(str(module.__file__)).read_text(encoding="utf-8")
-            lines = text.splitlines()
-            for node in ast.parse(text).body:
-                if not isinstance(node, ast.Assign):
-                    continue
-                about = comment_above(lines, node.lineno - 1)
-                for target in (
-                    node.targets[0].elts if isinstance(node.targets[0], ast.Tuple) else node.targets
-                ):
-                    key = ast.unparse(target)
-                    if key.isupper() and is_number(getattr(module, key)):
-                        found.append(Constant(module, key, about, trials))
+def rules() -> list[Rule]:
+    """All rules, in their order."""
+    text = Path(pj.__file__).with_name("_rules.py").read_text(encoding="utf-8")
+    lines, found = text.splitlines(), []
+    body = next(node for node in ast.parse(text).body if isinstance(node, ast.ClassDef)).body
+    for node in body:
+        if isinstance(node, ast.AnnAssign):
+            before = lines[: node.lineno - 1]
+            heading = [line.strip() for line in before if line.startswith("    # ")][-1]
+            kind = "occluded" if "in front" in heading else "exact"
+            kind = "wrong" if "errs" in heading else kind
+            comment = comment_above(lines, node.lineno - 1) or found[-1].decides
+            found.append(Rule(ast.unparse(node.target), comment, kind))
     return found
 
 
 def comment_above(lines: list[str], number: int) -> str:
     """The `#:` comment that ends above a line."""
     words: list[str] = []
-    while number and lines[number - 1].startswith("#:"):
+    while number and lines[number - 1].strip().startswith("#:"):
         number -= 1
-        words.insert(0, lines[number].removeprefix("#:").strip())
+        words.insert(0, lines[number].strip().removeprefix("#:").strip())
     return " ".join(words)
 
 
@@ -128,10 +92,12 @@ def compared(rows: list[dict], base: list[dict]) -> dict[str, Any]:
     worse = [a > 1.5 * b + 0.3 for a, b in zip(*off, strict=True)]
     better = [b > 1.5 * a + 0.3 for a, b in zip(*off, strict=True)]
     statuses = [a["status"] != b["status"] for a, b in zip(rows, base, strict=True)]
+    moved = [abs(a["degrees"] - b["degrees"]) > 1e-3 for a, b in zip(rows, base, strict=True)]
     seconds = [sum(r["seconds"] for r in each) for each in (rows, base)]
     return {
         "lies": sum(map(honesty.is_lie, rows)),
         "other status": sum(statuses),
+        "other camera": sum(moved),
         "worse camera": sum(worse),
         "better camera": sum(better),
         "time": seconds[0] / seconds[1],
@@ -143,41 +109,37 @@ def table(asked: Asked) -> dict:
     if not asked.resume:
         path.unlink(missing_ok=True)
     done = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
-    known = {(row["constant"], row["times"]): row for row in done}
+    known = {(row["rule"], row["times"]): row for row in done}
     base: dict[str, list[dict]] = {}
-    for constant in constants():
-        if constant.name not in asked.names([constant.name]):
-            continue
+    every = rules()
+    for rule in every:
         for factor in (0.5, 2.0):
-            where = constant.module.__name__.removeprefix("pinhole_jax.")
-            key = f"{where}.{constant.name}", factor
-            if key in known:
+            if (rule.name, factor) in known or rule.name not in asked.names([rule.name]):
                 continue
-            if constant.trials not in base:
-                outcome(constant.trials, 1, asked.seed)  # (compiles)
-                base[constant.trials] = outcome(constant.trials, number, asked.seed)
-            value, moved = constant.value, constant.times(factor)
-            setattr(constant.module, constant.name, moved)
+            if rule.trials not in base:
+                outcome(rule.trials, 1, asked.seed)  # (compiles)
+                base[rule.trials] = outcome(rule.trials, number, asked.seed)
+            value = getattr(RULES, rule.name)
+            object.__setattr__(RULES, rule.name, rule.times(factor))
             try:
-                found = compared(
-                    outcome(constant.trials, number, asked.seed), base[constant.trials]
-                )
+                found = compared(outcome(rule.trials, number, asked.seed), base[rule.trials])
             except Exception as error:  # (a value that the code cannot work with)
                 found = {"fails": type(error).__name__}
             finally:
-                setattr(constant.module, constant.name, value)
-            row = {"constant": key[0], "times": factor, "trials": number, **found}
-            known[key] = {**row, "value": str(value), "decides": constant.about}
+                object.__setattr__(RULES, rule.name, value)
+            row = {"rule": rule.name, "times": factor, "trials": number, **found}
+            known[rule.name, factor] = {**row, "value": str(value), "decides": rule.decides}
             with path.open("a") as file:
-                file.write(json.dumps(known[key]) + "\n")
+                file.write(json.dumps(known[rule.name, factor]) + "\n")
             print(json.dumps(row), flush=True)
     rows = list(known.values())
-    changed = [r for r in rows if any(r.get(k) for k in ("lies", "other status", "worse camera"))]
+    changes = ("lies", "other status", "other camera", "fails")
+    paying = {r["rule"] for r in rows if any(r.get(k) for k in changes)}
     show({k: v for k, v in r.items() if k not in ("decides", "value")} for r in rows)
-    words = f"{len({r['constant'] for r in rows})} constants; "
-    words += f"{len({r['constant'] for r in changed})} change an answer when halved or doubled"
+    words = f"{len(every)} rules, {len({r['rule'] for r in rows})} tried;"
+    words += f" {len(paying)} change an answer when halved or doubled"
     return {"verdict": words, "table": rows}
 
 
 if __name__ == "__main__":
-    main(__doc__, {"constants": table})
+    main(__doc__, {"rules": table})

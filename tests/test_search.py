@@ -10,9 +10,10 @@ import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._mask import search
 from pinhole_jax._mask.mask import Mask
-from pinhole_jax._mask.search import VIEWS, sphere_points
+from pinhole_jax._mask.search import sphere_points
 from pinhole_jax._mask.signatures import ANGLES
 from pinhole_jax._mask.thumbnails import axes_inward, thumbnails
+from pinhole_jax._rules import RULES
 from pinhole_jax._scene import coarse
 from pinhole_jax._scene.scene import ball_about, bounding_box
 
@@ -73,9 +74,9 @@ def test_round_mask_is_tried_from_all_views(scene, monkeypatch):
     ended in an error."""
     row, column = np.mgrid[:80, :96] + 0.5
     mask = Mask(1.0 * (np.hypot(row - 40, column - 48) < 30), np.ones((80, 96)), anywhere(0))
-    monkeypatch.setattr(search, "distances", lambda mask, views: np.ones((VIEWS, ANGLES)))
+    monkeypatch.setattr(search, "distances", lambda mask, views: np.ones((RULES.views, ANGLES)))
     ball = ball_about(np.asarray(bounding_box(scene), float))
-    assert len(list(search.guesses(mask, scene, ball))) == VIEWS
+    assert len(list(search.guesses(mask, scene, ball))) == RULES.views
 
 
 @pytest.mark.long

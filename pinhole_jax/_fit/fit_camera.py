@@ -20,6 +20,7 @@ from .._mask.target import MOST_BORDER, border_of, check_target, inside_of, leve
 from .._numerics.arrays import ArrayLike, Input, float_dtype, is_concrete
 from .._outline.outline_errors import OutlineErrors, is_drawn
 from .._outline.statistics import mask_errors
+from .._rules import RULES
 from .._scene.scene import Scene, check_scene
 from .._solver.looks import Sums
 from .._solver.moves import Bounds, canonical
@@ -36,12 +37,7 @@ from .photo import check_photo, on_photo
 from .places import Free, interval, mirrored, settled, transported
 from .refine import Candidate, Refiner, likeliest
 from .result import Context, Fit, Progress, progress_at, report, with_modes, with_unbelieved
-from .strategy import EXACT, everywhere, free_about, from_start, to_the_end, turns_freely
-
-#: With no start, and more than this share of a mask's edge not believed, a view that was not tried
-#: may explain the rest as well. (Of 200 wrong masks one, of a bracket with a fifth cut off: a view
-#: 120 degrees off leaves nothing of the rest, and the right one was not found.)
-SEEN_ENOUGH = 0.25
+from .strategy import everywhere, free_about, from_start, to_the_end, turns_freely
 
 
 def fit_camera(
@@ -244,7 +240,7 @@ def _fit(
     else:
         places = from_start(solver, mask, start, on_stop)
     say("last level: looking for other views that fit")
-    if reach is None or places.best.view.touched_misfit <= EXACT * mask.usual_weight:
+    if reach is None or places.best.view.touched_misfit <= RULES.exact * mask.usual_weight:
         ended = to_the_end(solver, [places.best, *places.others])
         modes = [_Mode(f, f.view.sums, mask_errors(solver, f.view)) for f in ended]
         free, near, edge = free_about(solver, ended[0], places), solver, None
@@ -342,7 +338,7 @@ def _fit_of(
             fit = reported(_Mode(said.found, said.sums, said.errors), said.kind, open_still)
         fit = fit._replace(weak=(*fit.weak, said.note))
     if edge is not None and best.account is not None:
-        alone = from_anywhere and best.account.unbelieved(edge) > SEEN_ENOUGH
+        alone = from_anywhere and best.account.unbelieved(edge) > RULES.doubted
         fit = with_unbelieved(fit, *best.account.words(edge, mask.camera.H), alone)
     turns = [f.axis for f in free if f.axis is not None and np.isinf(f.ahead)]
     return with_modes(fit, other_places(fit, others, turns))

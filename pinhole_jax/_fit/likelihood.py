@@ -14,23 +14,8 @@ import numpy as np
 
 from .._mask.edges import NearWeights
 from .._outline.outline_errors import ErrorFit, Offsets, weigh
+from .._rules import RULES
 from .edge import Blocks, Edge, OutlinePoints, matched
-
-#: Blocks of a mask's edge, each of at least this many px.
-BLOCKS, SHORTEST = 90, 2.0
-#: The standard deviation of a gross error, the length over which it is smooth (shares of the
-#: object's size), and its own roughness (px).
-GROSS, SMOOTH, ROUGH_PX = 0.4, 0.25, 1.0
-#: Sizes (px) that the other errors may have where runs are looked for, over this length (px).
-SIZES, OVER = (0.3, 0.6, 1.2, 2.4), 8.0
-#: At least this share of an edge is the object's.
-LEAST_BELIEVED = 0.2
-#: So much about an edge that is not believed does not count (a share of the object's size; px).
-ROOM, ROOM_PX = 0.1, 3.0
-#: Less of an edge than this share that is not believed is not worth a word.
-LEAST_TOLD = 0.03
-#: Outline within this distance (px, or sizes of the errors) of an edge has one beside it.
-BESIDE_PX, BESIDE_SIZES = 3.0, 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +49,7 @@ class Account:
         no matter."""
         some = edge.at[self.gross]
         share = self.unbelieved(edge)
-        if share < LEAST_TOLD:
+        if share < RULES.little:
             return some[:0], ""
         x, y = some[np.argmin(np.linalg.norm(some - np.median(some, axis=0), axis=1))]
         place = f"near column {int(x)}, row {height - 1 - int(y)}"
@@ -86,7 +71,7 @@ def account(
     Its pixels' quantisation leaves them this mean square residual. `roughly`: with few hypotheses
     on how the edge errs.
     """
-    blocks = edge.blocks(BLOCKS, SHORTEST)
+    blocks = edge.blocks(RULES.stretches, RULES.stretch)
     if outline is None or len(blocks.length) < outline.by_move.shape[1] + 4:
         return None
     pairs = matched(edge, outline)
@@ -96,7 +81,7 @@ def account(
     gross = found.gross[blocks.of]
     inside = (offset < 0)[blocks.of]
     away = edge.distance(outline.at)
-    alone = away > max(BESIDE_SIZES * found.errors.size, BESIDE_PX)
+    alone = away > max(RULES.within * found.errors.size, RULES.beside)
     alone[alone] = ~_is_hidden(edge, gross & inside, outline.at[alone], away[alone])
     missing = float(np.mean(alone))
     px = missing * outline.length
@@ -115,8 +100,8 @@ def _is_hidden(edge: Edge, hides: np.ndarray, points: np.ndarray, away: np.ndarr
 
 def _price(px: float, runs: float, size: float, precision: float) -> float:
     """The cost of describing smooth curves of this length (px) in all to a precision (px)."""
-    numbers = runs + px / (SMOOTH * size)
-    return float(numbers * max(np.log(GROSS * size / precision), 0.0))
+    numbers = runs + px / (RULES.smooth * size)
+    return float(numbers * max(np.log(RULES.gross * size / precision), 0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,18 +127,19 @@ def _explained(
         offsets = Offsets(at[fine], blocks.length[fine], offset[fine], by_move[fine])
         errors = weigh(offsets, quantisation, roughly)
         # As dense as what lies about a smooth curve within `ROUGH_PX`.
-        log = errors.log - np.sum(gross) * (0.5 + np.log(ROUGH_PX))
+        log = errors.log - np.sum(gross) * (0.5 + np.log(RULES.rough))
         runs = np.count_nonzero(gross != np.roll(gross, 1)) / 2
-        log -= 2 * ends * runs + _price(np.sum(blocks.length[gross]), runs, edge.size, ROUGH_PX)
+        log -= 2 * ends * runs + _price(np.sum(blocks.length[gross]), runs, edge.size, RULES.rough)
         return _Segmentation(float(log), errors, gross)
 
-    size = np.hypot(SIZES, quantisation**0.5)[:, None]
-    price = np.log(np.maximum(GROSS * edge.size / size, 1.5))
-    share = np.clip(blocks.length / (2 * OVER), 0, 1)
+    size = np.hypot(RULES.sizes, quantisation**0.5)[:, None]
+    price = np.log(np.maximum(RULES.gross * edge.size / size, 1.5))
+    share = np.clip(blocks.length / (2 * RULES.lengths[0]), 0, 1)
     fits = share * ((offset / size) ** 2 - 1) / 2
-    runs = _cheapest(fits, blocks.length / (SMOOTH * edge.size) * price, ends + price[:, 0] / 2)
+    numbers = blocks.length / (RULES.smooth * edge.size)
+    runs = _cheapest(fits, numbers * price, ends + price[:, 0] / 2)
     several = {x.tobytes(): x for x in (np.zeros(len(at), bool), *runs)}
-    some = [x for x in several.values() if np.mean(x) <= 1 - LEAST_BELIEVED]
+    some = [x for x in several.values() if np.mean(x) <= 1 - RULES.small]
     if len(some) == 1 and not roughly:
         return weighed(some[0], False)
     likeliest = sorted((weighed(x, True) for x in some), key=lambda x: -x.log)
@@ -193,5 +179,5 @@ def believed(near: NearWeights, edge: Edge, gross: np.ndarray) -> NearWeights:
         return near
     row, column = np.divmod(near.place, near.shape[1])
     at = np.column_stack([column + 0.5, near.shape[0] - row - 0.5])
-    close = edge.where(gross).distance(at) < max(ROOM * edge.size, ROOM_PX)
+    close = edge.where(gross).distance(at) < max(RULES.room * edge.size, RULES.beside)
     return near._replace(value=np.where(gross[edge.nearest(at)] | close, 0.0, near.value))

@@ -19,29 +19,13 @@ from .._camera.camera import Camera
 from .._files.progress import say
 from .._mask.mask import Mask
 from .._mask.search import partly_hidden
+from .._rules import RULES
 from .._solver.moves import canonical
 from .._solver.solver import Solver
 from .edge import Edge, OutlinePoints, Pairs, matched, outline_seen
 
-#: The mask's edge is taken by stretches of this share of the object's size.
-STRETCH = 0.08
 #: This many of its points are brought to the outline.
 POINTS = 400
-#: How far away an edge still counts: at first this share of the object's size, at last this many
-#: px, in this many steps. No step moves the outline by more than the share `LONGEST` of the size.
-FIRST, LAST_PX, STEPS, LONGEST = 0.12, 1.0, 20, 0.3
-#: Steps of each round, and the number of proposals that go on, those whose edge is closest; the
-#: rest of the steps is for the last of them.
-ROUNDS = ((2, 32), (2, 12), (2, 6))
-#: Directions in which something may stand, and which share of the edge it may take there; guesses
-#: of a search for each.
-SECTORS, TAKEN, GUESSES = 8, 0.35, 12
-#: An edge is close within this share of the object's size. (As far as the first steps let it
-#: count, everything is near: of 136 guesses at a bracket, a third of whose edge was an occluder's,
-#: the right ones would be 55th and 56th; so they are first.)
-CLOSE = 0.02
-#: Proposals so near (rad) are one.
-APART = np.deg2rad(2)
 
 Window = np.ndarray | None
 
@@ -56,12 +40,12 @@ def near_starts(solver: Solver, edge: Edge, cameras: Iterable[Camera]) -> list[C
 def from_all_sides(solver: Solver, mask: Mask, edge: Edge) -> list[Camera]:
     """Where views from all sides lead to if the object is hidden on any side."""
     some = edge.thinned(POINTS)
-    directions = [None, *(2 * np.pi * np.arange(SECTORS) / SECTORS)]
+    directions = [None, *(2 * np.pi * np.arange(RULES.sectors) / RULES.sectors)]
     views = partly_hidden(mask, solver.subject.from_afar, solver.subject.ball, directions)
     begins = [
         (canonical(guess), window)
         for guesses, window in zip(views, [None, *_sectors(some)], strict=True)
-        for guess in islice(guesses, GUESSES)
+        for guess in islice(guesses, RULES.tried)
     ]
     return _followed(solver, some, begins)
 
@@ -69,25 +53,25 @@ def from_all_sides(solver: Solver, mask: Mask, edge: Edge) -> list[Camera]:
 def _sectors(edge: Edge) -> list[np.ndarray]:
     """Weights (n,) of the mask's edge, each without the part on one side."""
     away = edge.at - edge.at.mean(axis=0)
-    turns = 2 * np.pi * np.arange(SECTORS) / SECTORS
+    turns = 2 * np.pi * np.arange(RULES.sectors) / RULES.sectors
     along = [away @ [np.cos(turn), np.sin(turn)] for turn in turns]
-    return [(far < np.quantile(far, 1 - TAKEN)) * 1.0 for far in along]
+    return [(far < np.quantile(far, 1 - RULES.taken)) * 1.0 for far in along]
 
 
 def _followed(solver: Solver, edge: Edge, begins: list[tuple[Camera, Window]]) -> list[Camera]:
     """Where the closest of some cameras lead to."""
     level = min(solver.far, max(solver.finest - 1, 0))
-    scales = np.maximum(np.geomspace(FIRST * edge.size, LAST_PX, STEPS), LAST_PX)
-    stretch, done = _stretches(edge), 0
-    for steps, number in ROUNDS:
+    first, last = max(RULES.room * edge.size, RULES.rough), RULES.rough
+    scales = np.geomspace(first, last, RULES.descent)
+    stretch = _stretches(edge)
+    for number in RULES.rounds:
         say(f"looking for something in front of the object: {len(begins)} guesses")
-        some = scales[done : done + steps]
+        some, scales = scales[:2], scales[2:]
         ended = [_brought(solver, edge, stretch, c, level, some, w) for c, w in begins]
         found = [(*e, w) for e, (_, w) in zip(ended, begins, strict=True) if e is not None]
         found.sort(key=lambda f: -f[1])
         begins = _apart([(camera, w) for camera, _, w in found])[:number]
-        done += steps
-    ended = [_brought(solver, edge, stretch, c, level, scales[done:]) for c, _ in begins]
+    ended = [_brought(solver, edge, stretch, c, level, scales) for c, _ in begins]
     closest = sorted((e for e in ended if e is not None), key=lambda e: -e[1])
     return [camera for camera, _ in _apart(closest)]
 
@@ -100,7 +84,7 @@ def _apart(found: list[tuple[Camera, Any]]) -> list[tuple[Camera, Any]]:
     cosine = (np.einsum("aij,bij->ab", axes, axes) - 1) / 2
     kept: list[int] = []
     for k in range(len(found)):
-        if np.all(cosine[k, kept] < np.cos(APART)):
+        if np.all(cosine[k, kept] < np.cos(4 * RULES.same)):
             kept.append(k)
     return [found[k] for k in kept]
 
@@ -129,15 +113,15 @@ def _brought(
         step = np.linalg.solve(normal + damping * np.eye(len(normal)), right)
         if not np.all(np.isfinite(step)):
             return None
-        far = float(np.max(np.abs(pairs.by_move @ step)))
-        camera = solver.step(camera, level, step * min(1.0, LONGEST * edge.size / max(far, 1e-9)))
+        far = max(float(np.max(np.abs(pairs.by_move @ step))), 1e-9)
+        camera = solver.step(camera, level, step * min(1.0, RULES.smooth * edge.size / far))
         outline = outline_seen(solver, camera, level)
     return None if outline is None else (camera, _closeness(edge, outline, stretch))
 
 
 def _closeness(edge: Edge, outline: OutlinePoints, stretch: Any) -> float:
     """How close an edge is to an outline: 1 where it lies on it, less where it is outside."""
-    pairs, near = matched(edge, outline), max(CLOSE * edge.size, 2.0)
+    pairs, near = matched(edge, outline), max(RULES.close * edge.size, 2.0)
     close = np.clip(1 - (pairs.off / near) ** 2, 0, 1) * pairs.faces
     return float(np.mean((stretch @ close) * close) - 0.5 * np.mean(pairs.off > 2 * near))
 
@@ -155,7 +139,7 @@ def _stretches(edge: Edge) -> Any:
     from scipy.sparse import csr_matrix
     from scipy.spatial import KDTree
 
-    radius = max(STRETCH * edge.size, 3.0)
+    radius = max(RULES.room * edge.size, 3.0)
     place = np.column_stack([edge.at, radius * edge.out])
     pairs = KDTree(place).query_pairs(radius, output_type="ndarray")
     own = np.arange(len(edge.at))

@@ -17,57 +17,16 @@ from .._camera.camera import Camera
 from .._mask.search import sphere_points
 from .._outline.outline_errors import OutlineErrors, is_drawn
 from .._outline.statistics import mask_errors, residual_variance
+from .._rules import RULES
 from .._solver.looks import View
 from .._solver.parameters import components
+from .._solver.problem import SETTLED
 from .._solver.revolution import Revolution
 from .._solver.solver import Solution, Solver
-from .._solver.uncertainty import WEAK, in_words, weak_moves
+from .._solver.uncertainty import in_words, weak_moves
 
-#: How far a walk goes to either side (rad, at the object's radius), each place twice as far.
-STRIDES = np.deg2rad(1.5) * 2.0 ** np.arange(7)
-#: Steps of a descent from there on the last level, and how many descents one fit may take.
-STEPS, DESCENTS = 10, 240
-#: Cameras closer than this (rad), or this many standard errors, are one place.
-APART, SIGMAS = np.deg2rad(0.5), 1.5
-#: Places that differ by less than this many variances of a residual are equal: 5.5 standard errors.
-EQUAL_TIMES = 30.0
-#: ... of a mask that a person or a network drew, whose errors along stretches are counted already:
-#: one is a hundred times as likely as the other.
-DRAWN_TIMES = 2 * np.log(100)
-#: How many of the weakest directions are followed to where a drawn mask forbids them, how many
-#: standard errors away at first (between these angles, rad), in how many steps each, the last one
-#: the first to gain less than this share of the loss; an interval counts if it is this many
-#: times as wide as the Jacobian says.
-LOOKED, PROFILE_SIGMAS, PROFILE_RAD = 2, np.array([2.0, 5.0]), np.deg2rad([1, 25])
-PROFILE_STEPS, PROFILE_ENDS, WIDER = 5, 0.02, 1.3
-#: Places along a walk are distinct if their residual is at most this share of the one that the
-#: Jacobian predicts at their distance.
-LIKE_FORETOLD = 0.5
-#: Where nothing is nearly free, the weakest direction is walked along if it shows less than this
-#: share of the best-seen one.
-DOUBTFUL = 0.2
-#: A descent that ends so near (rad) a place that another one led to is followed no further.
-RETURNED = APART / 2
-#: This many equal places along a walk are no list of modes but a direction that is free.
-MANY = 4
-#: An interval larger than this (rad) is taken for the whole circle.
-ALL_ROUND = np.deg2rad(190)
-#: A body is near its mirror image if it reaches as far to within this share of its radius.
-MIRRORED = 0.15
 #: The directions in which that is looked at.
 DIRECTIONS = sphere_points(64)
-#: Turns about a line that a body is round about are looked at so far apart (rad) at most, and
-#: followed, the likeliest first, until `LIKELY` were worse, or there are `MOST`. An axis is
-#: another one if the cosine between them is less than this.
-LONGEST, LIKELY, MOST, SAME_AXIS = np.deg2rad(4.0), 6, 24, np.cos(np.deg2rad(30))
-#: Cameras so close (rad) are the same to a walk all round.
-WALKED = 1e-3
-#: Of turns that bring facets to facets, this many are followed.
-FEW = 12
-#: ... and of a body that is not round this many; closer than this (the matrices' distance) are one.
-TURNS, ONE_TURN = 24, 0.05
-#: What is farther from the start than this (rad) the start rules out.
-NEAR_START = np.deg2rad(60)
 
 
 class Free(NamedTuple):
@@ -121,13 +80,12 @@ def settled(solver: Solver, best: Solution, start: Camera | None = None) -> Plac
 
     No place takes over that is far from a `start`.
     """
-    left, seen, last = DESCENTS, [], []
+    seen, last = [], []
     directions = _worth_a_walk(solver, best)
-    while directions and left > 0:
+    while directions:
         last = directions
         places = [p for d in directions for p in _along(solver, best, d)]
         seen += [best, *places]
-        left -= len(places)
         place = _likeliest(solver, best, places, start)
         if not better(solver, place.view, best.view):
             break
@@ -139,7 +97,7 @@ def settled(solver: Solver, best: Solution, start: Camera | None = None) -> Plac
     if solver.kind.exact and not solver.kind.spread:
         seen += _alike(solver, best)
     # What is as good, but only far from the start, the start rules out.
-    near = [p for p in seen if start is None or angle(p.camera, start) < NEAR_START]
+    near = [p for p in seen if start is None or angle(p.camera, start) < RULES.too_far]
     places = _as_good(solver, best, near, last)
     return _as_good(solver, best, seen, last) if places.others or places.free else places
 
@@ -149,7 +107,7 @@ def _likeliest(
 ) -> Solution:
     """Return the best of some places that are not far from a start; where there are none, the best
     so far."""
-    near = (p for p in places if start is None or angle(p.camera, start) < NEAR_START)
+    near = (p for p in places if start is None or angle(p.camera, start) < RULES.too_far)
     return min(near, key=lambda p: _surplus(solver, p.view), default=best)
 
 
@@ -163,7 +121,7 @@ def _worth_a_walk(solver: Solver, best: Solution) -> list[_Direction]:
     other = _nearly_free(solver, best) or _doubtful(solver, best)
     if len(round_about) == 1:
         axis = solver.subject.revolutions[0].axis
-        other = [d for d in other if d.axis is None or abs(d.axis @ axis) < SAME_AXIS]
+        other = [d for d in other if d.axis is None or abs(d.axis @ axis) < np.cos(2 * RULES.apart)]
     elif any(d.axis is not None for d in other):
         return other
     return other + round_about
@@ -184,15 +142,17 @@ def interval(solver: Solver, best: Solution, errors: OutlineErrors | None) -> li
     directions = _nearly_free(solver, best, 1.0)
     about = [d for d in directions if d.axis is not None and d.sigma < np.pi]
     widest, least = Free(np.zeros(len(turns)), 0.0, 0.0, None), solver.look(best.camera).squares
-    for direction in about[-LOOKED:]:
-        for far in np.unique(np.clip(PROFILE_SIGMAS * direction.sigma, *PROFILE_RAD)):
+    for direction in about[-2:]:
+        away = np.array(RULES.profile) * direction.sigma
+        for far in np.unique(np.clip(away, RULES.same, 2 * RULES.apart)):
             for side in (far, -far):
                 place, squares = _best_turned(solver, best, side * direction.move, least)
                 odds = errors.independent * np.log(max(squares / max(least, 1e-300), 1.0))
                 turn = turned_by(best.camera, place)
                 size = float(np.linalg.norm(turn))
                 open_by = size / max(odds, 0.5) ** 0.5
-                if np.isfinite(squares) and open_by > max(WIDER * direction.sigma, widest.ahead):
+                enough = max(RULES.wider * direction.sigma, widest.ahead)
+                if np.isfinite(squares) and open_by > enough:
                     widest = Free(np.zeros(len(turns)), open_by, open_by, turn / size)
     if widest.axis is None:
         return []
@@ -210,7 +170,7 @@ def _best_turned(
     turns = np.array([name.startswith("turn") for name in parts])
     camera, least = solver.step(best.camera, solver.finest, move), (best.camera, np.inf)
     far = angle(camera, best.camera)
-    for _ in range(PROFILE_STEPS):
+    for _ in range(RULES.steps):
         view = solver.look(camera)
         if not view.squares < least[1]:
             break
@@ -223,7 +183,7 @@ def _best_turned(
         solution = np.linalg.lstsq(triangle, np.asarray(view.along, float), rcond=1e-3)[0]
         step = -along @ solution
         # (The odds would change by so little.)
-        if np.sum((triangle @ solution) ** 2) < PROFILE_ENDS * (view.squares - squares):
+        if np.sum((triangle @ solution) ** 2) < SETTLED * (view.squares - squares):
             break
         turn = float(np.linalg.norm(step[turns])) / _radian(solver, best)
         step *= min(1.0, far / max(turn, 1e-12) / 2)
@@ -234,7 +194,7 @@ def _best_turned(
 def equal_views(solver: Solver, view: View, best: View, most: float = np.inf) -> bool:
     """True if the mask's own noise allows a view as well as the best, within this many variances at
     `most`."""
-    times = DRAWN_TIMES if is_drawn(mask_errors(solver, best)) else EQUAL_TIMES
+    times = RULES.drawn_times if is_drawn(mask_errors(solver, best)) else RULES.equal_times
     allowed = min(times, most) * residual_variance(solver, best)
     return bool(_surplus(solver, view) - _surplus(solver, best) <= allowed)
 
@@ -255,12 +215,12 @@ def better(solver: Solver, view: View, best: View) -> bool:
     return now < have - max(0.01 * abs(have), 2 * solver.kind.variance)
 
 
-def _nearly_free(solver: Solver, found: Solution, share: float = WEAK) -> list[_Direction]:
+def _nearly_free(solver: Solver, found: Solution, share: float | None = None) -> list[_Direction]:
     """The turns and shifts that show less than a share of the best-seen move, the least last."""
     triangle = np.asarray(found.view.triangle, float)
     if not np.all(np.isfinite(triangle)):
         return []
-    weak = weak_moves(triangle, components(solver.freed), share)
+    weak = weak_moves(triangle, components(solver.freed), share or RULES.weak)
     return [_direction(solver, found, *pair) for pair in weak]
 
 
@@ -301,7 +261,7 @@ def _doubtful(solver: Solver, found: Solution) -> list[_Direction]:
     just about to show, the mask says more on one side than the Jacobian does."""
     kind = solver.kind
     sharp = kind.exact and not kind.spread and found.view.touched_misfit <= kind.most
-    return [] if sharp else _nearly_free(solver, found, DOUBTFUL)[-1:]
+    return [] if sharp else _nearly_free(solver, found, RULES.doubtful)[-1:]
 
 
 def _radian(solver: Solver, found: Solution) -> float:
@@ -321,7 +281,7 @@ def _along(solver: Solver, best: Solution, direction: _Direction) -> list[Soluti
     """The ends of descents from both sides of a camera."""
     if direction.line is not None:
         return _around(solver, best, direction.line)
-    return _strides(solver, best, direction, [s * x for s in (1, -1) for x in STRIDES])
+    return _strides(solver, best, direction, [s * x for s in (1, -1) for x in RULES.strides])
 
 
 def _strides(
@@ -336,11 +296,11 @@ def _around(solver: Solver, best: Solution, line: Revolution) -> list[Solution]:
     """The ends of descents from likely cameras all round a line, and this many more while
     those are as good."""
     for camera, other, places in solver.walked:
-        if other is line and separation(solver, camera, best.camera) < WALKED:
+        if other is line and separation(solver, camera, best.camera) < RULES.same / 2:
             return places
-    pitch = line.pitch or LONGEST
-    parts = int(np.ceil(pitch / LONGEST))
-    if line.pitch is not None and pitch > LONGEST:
+    pitch = line.pitch or RULES.uncertain
+    parts = int(np.ceil(pitch / RULES.uncertain))
+    if line.pitch is not None and pitch > RULES.uncertain:
         parts = max(parts, 2)  # minima are on facets, some between them
     count = round(2 * np.pi / pitch) * parts
     cameras = [best.camera]
@@ -353,11 +313,11 @@ def _around(solver: Solver, best: Solution, line: Revolution) -> list[Solution]:
     places, worse = [], 0
     # (The golden ratio: where many are as good as one another, some all round.)
     order = np.lexsort((np.arange(count) * 0.618034 % 1, surplus))
-    likely = [cameras[k] for k in order[lower[order]][:MOST]]
+    likely = [cameras[k] for k in order[lower[order]][: RULES.turns]]
     for place in _led_to(solver, best, likely):
         places += [] if place is None else [place]
         worse += place is None or not equal_views(solver, place.view, best.view)
-        if worse == LIKELY:
+        if worse == RULES.followed:
             break
     places = _finite(places)
     solver.walked.append((best.camera, line, places))
@@ -372,7 +332,7 @@ def _led_to(solver: Solver, best: Solution, starts: Iterable[Camera]) -> Iterato
         yield from _descended(solver, starts)
         return
     for found in _descended(solver, starts, number):
-        back = any(separation(solver, found.camera, camera) < RETURNED for camera in known)
+        back = any(separation(solver, found.camera, camera) < RULES.same / 2 for camera in known)
         if back or not np.isfinite(found.view.squares):
             yield None
         else:
@@ -390,7 +350,7 @@ def _alike(solver: Solver, best: Solution) -> list[Solution]:
     """The ends of descents from the likeliest cameras that see the facets alike."""
     cameras = [_rotated(best.camera, *turn) for turn in solver.subject.turns]
     surplus = _glances(solver, cameras, solver.finest)
-    nearest = [cameras[k] for k in np.argsort(surplus)[:FEW] if np.isfinite(surplus[k])]
+    nearest = [cameras[k] for k in np.argsort(surplus)[: RULES.tried] if np.isfinite(surplus[k])]
     return _finite(_descended(solver, nearest))
 
 
@@ -403,7 +363,7 @@ def _glances(solver: Solver, cameras: list[Camera], number: int) -> np.ndarray:
 
 
 def _descended(solver: Solver, cameras: Iterable[Camera], number: int = -1) -> Iterator[Solution]:
-    return solver.descents(cameras, min(STEPS, solver.max_steps), number)
+    return solver.descents(cameras, min(RULES.steps, solver.max_steps), number)
 
 
 def _finite(places: Iterable[Solution]) -> list[Solution]:
@@ -417,7 +377,7 @@ def _as_good(
     directions."""
     directions = [transported(solver, best, d) for d in directions]
     sigma = max(min(d.sigma for d in directions), 1e-12)
-    apart = max(APART, SIGMAS * sigma)
+    apart = max(RULES.same, RULES.sigmas * sigma)
     exact = solver.kind.exact and solver.kind.explains(best.view.touched_misfit, True)
 
     def others(places: list[Solution]) -> list[Solution]:
@@ -425,13 +385,13 @@ def _as_good(
         for place in places:
             far = separation(solver, place.camera, best.camera)
             # (What the Jacobian foretells so far away is no other place: a descent on its way.)
-            foretold = float(LIKE_FORETOLD * (far / sigma) ** 2)
+            foretold = float(RULES.foretold * (far / sigma) ** 2)
             if far > apart and equal_views(solver, place.view, best.view, foretold):
                 as_good.append(place)
         return _distinct(solver, as_good, apart)
 
     equal = others(seen)
-    if exact and len(equal) < MANY:
+    if exact and len(equal) < RULES.many:
         return Places(best, equal, [])
     return Places(best, [], _intervals(solver, best, equal, directions))
 
@@ -465,9 +425,9 @@ def _intervals(
         if reached:
             # What was looked at next, and is forbidden, bounds the interval: strides double, all
             # round a line they are equal.
-            times, least = (2, STRIDES[0] / 2) if d.line is None else (1.1, LONGEST)
+            times, least = (2, RULES.stride / 2) if d.line is None else (1.1, RULES.uncertain)
             behind, ahead = (times * max(*(s * x for x in reached), least) for s in (-1, 1))
-            if behind + ahead > ALL_ROUND:
+            if behind + ahead > 1.05 * np.pi:
                 behind = ahead = np.inf
             result.append(Free(d.move, behind, ahead, d.axis))
     return result
@@ -519,7 +479,7 @@ def mirrored(solver: Solver, found: Solution) -> Iterator[Camera]:
     for signs in np.array(np.meshgrid(*[[1, -1]] * 3)).reshape(3, 8).T[1:]:
         image = principal @ (signs[:, None] * principal.T)
         off = np.max(np.abs(np.max(points @ (DIRECTIONS @ image).T, axis=0) - reach))
-        if off > MIRRORED * np.max(reach):
+        if off > RULES.mirrored * np.max(reach):
             continue
         turned = axes @ image
         if np.prod(signs) < 0:
@@ -529,8 +489,8 @@ def mirrored(solver: Solver, found: Solution) -> Iterator[Camera]:
         yield _rotated(found.camera, rotation, centre - rotation @ centre)
     if solver.subject.revolutions:
         return  # turns about these are walked
-    for rotation, shift in solver.subject.turns[:TURNS]:
-        if all(np.linalg.norm(rotation - other) > ONE_TURN for other in seen):
+    for rotation, shift in solver.subject.turns[: RULES.turns]:
+        if all(np.linalg.norm(rotation - other) > RULES.same for other in seen):
             yield _rotated(found.camera, rotation, shift)
 
 

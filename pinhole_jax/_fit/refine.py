@@ -12,30 +12,12 @@ from .._mask.edges import NearWeights
 from .._mask.mask import Mask
 from .._outline.outline_errors import OutlineErrors, is_drawn
 from .._outline.statistics import mask_errors, quantisation
+from .._rules import RULES
 from .._solver.looks import View
 from .._solver.problem import COARSE_PX, FINE_PX
 from .._solver.solver import Solution, Solver, onward
 from .edge import Edge, edge_of, outline_seen
 from .likelihood import Account, account, believed
-
-#: Pixels count near the mask's edge: at first within these times `outlier_px`, what other stretches
-#: of the outline pulled away coming back; then within this many sizes of the mask's errors, if that
-#: is more than `outlier_px` (weights that cut errors off narrow a sigma).
-WIDE, SIZES_WITHIN = 4.0, 2.5
-#: A camera is one of several if its likelihood is at least this share of the best one's; while
-#: they are refined, cameras whose logarithm is less by `HOPELESS` are left.
-LEAST_SHARE, HOPELESS = 1e-3, 60.0
-#: How far (rad) a start is off, one standard error.
-START_RAD = np.deg2rad(15)
-#: Cameras so near (rad) are one.
-SAME = np.deg2rad(0.3)
-#: Curves of a mask's edge that are a smaller share of it than this are crumbs, and more than this
-#: share of the edge has to lie inside the outline for something to be looked for there.
-CRUMB, LEAST_HIDDEN = 0.2, 0.05
-#: Outline of so small a share may be missed.
-LITTLE = 0.02
-#: ... or the edge to err by this many px all along.
-LARGE_PX = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +38,7 @@ class Candidate:
 
     def is_explained(self) -> bool:
         """Whether nearly all of the camera's outline has an edge beside it, or is hidden."""
-        return self.account is not None and self.account.missing < LITTLE
+        return self.account is not None and self.account.missing < RULES.little
 
     @property
     def errors(self) -> OutlineErrors | None:
@@ -89,7 +71,7 @@ class Refiner:
         done: list[Candidate] = []
         for found, said in begun:
             log = max((c.log for c in done), default=-np.inf if best is None else best)
-            made = self._refined(found, said, start, log - HOPELESS)
+            made = self._refined(found, said, start, log - RULES.hopeless)
             done += [] if made is None else [made]
         return done
 
@@ -100,20 +82,20 @@ class Refiner:
         if said is not None:
             gross = said.gross
             # (The account allows for an error of the camera; for what is left to descend, too.)
-            if said.log < least - HOPELESS:
+            if said.log < least - RULES.hopeless:
                 return None
         alone = said is not None and not np.any(gross) and said.missing == 0
         if not alone:
-            wide = self.solver.weighed(self._weights(WIDE, gross), only_finest=True)
+            wide = self.solver.weighed(self._weights(RULES.wide, gross), only_finest=True)
             found = onward(found, wide.solve(found.camera, [wide.finest], fine_px=COARSE_PX))
             said = self.account(found.camera, roughly=True)
             if said is not None:
                 gross = said.gross
                 if said.log < least:
                     return None
-        reach = 1.0 if said is None else SIZES_WITHIN * said.size / self.outlier_px
+        reach = 1.0 if said is None else RULES.within * said.size / self.outlier_px
         near = self.solver.weighed(
-            self._weights(float(np.clip(reach, 1, WIDE)), gross), only_finest=True
+            self._weights(float(np.clip(reach, 1, RULES.wide)), gross), only_finest=True
         )
         px = FINE_PX[near.dtype]
         found = onward(found, near.solve(found.camera, [near.finest], fine_px=px))
@@ -125,7 +107,7 @@ class Refiner:
                 said = self.account(found.camera)
         wide = self.solver
         if np.any(gross):
-            wide = self.solver.weighed(self._weights(WIDE, gross))
+            wide = self.solver.weighed(self._weights(RULES.wide, gross))
         whole = self.solver.look(found.camera, self.solver.finest)
         return Candidate(found, whole, said, near, wide)
 
@@ -143,8 +125,8 @@ class Refiner:
         said = candidate.account
         if said is None:
             return False
-        astray = max(said.hidden(self.edge, CRUMB), said.missing)
-        return astray > LEAST_HIDDEN or said.size > LARGE_PX
+        astray = max(said.hidden(self.edge, RULES.small), said.missing)
+        return astray > RULES.hidden or said.size > self.outlier_px
 
 
 def likeliest(candidates: Sequence[Candidate], alike: int, start: Camera | None) -> list[Candidate]:
@@ -154,15 +136,15 @@ def likeliest(candidates: Sequence[Candidate], alike: int, start: Camera | None)
     drew the mask, whose errors are among those squares. A start is another measurement.
     """
     far = [0.0 if start is None else angle(c.found.camera, start) for c in candidates]
-    logs = [c.log - (x / START_RAD) ** 2 / 2 for c, x in zip(candidates, far, strict=True)]
+    logs = [c.log - (x / RULES.start) ** 2 / 2 for c, x in zip(candidates, far, strict=True)]
     order = sorted(range(len(logs)), key=lambda k: -logs[k])
-    least = logs[order[0]] + np.log(LEAST_SHARE)
+    least = logs[order[0]] + np.log(RULES.odds)
     together = order[0] < alike and not is_drawn(candidates[order[0]].errors)
     kept: list[Candidate] = []
     for k in order:
         camera = candidates[k].found.camera
         if (logs[k] >= least or (together and k < alike)) and all(
-            angle(camera, c.found.camera) > SAME for c in kept
+            angle(camera, c.found.camera) > RULES.same for c in kept
         ):
             kept.append(candidates[k])
     return kept

@@ -14,6 +14,7 @@ from .._camera.camera import Camera
 from .._mask.kinds import Kind
 from .._numerics.arrays import ArrayLike, Input, is_concrete
 from .._outline.outline_errors import OutlineErrors, is_drawn
+from .._rules import RULES
 from .._solver.looks import Sums, View
 from .._solver.moves import Bounds, displaced, on_film
 from .._solver.parameters import LABELS, PARAMETERS, components, labels_of
@@ -23,11 +24,6 @@ from .._solver.uncertainty import BLIND, covariance, in_words, weak_directions, 
 from .places import Free
 from .words import STATUSES, ParameterTable, accuracy, parameter_lines, parameter_table
 
-#: Below this intersection over union a fit has found something else than the object.
-LEAST_IOU = 0.5
-#: More than this share of the outline far from the mask's edge is a misfit; where an exact mask is
-#: not explained anyway, `weak` has fewer sentences.
-ASTRAY, SOME = 0.1, 0.02
 #: Rounding leaves a root mean square residual of this many machine epsilons in a touched pixel.
 FLOOR = 1000
 #: A solver's last step is off by this share of the step that it calls negligible.
@@ -35,9 +31,6 @@ LAST_STEP = 0.2
 WRONG = "there the mask, the mesh or the camera is wrong"
 #: A move that hardly shows is no weakness where it is known to this many px (one sigma).
 KNOWN_PX = 0.01
-#: An interval of one standard error in which a turn is wider than this (rad) is no camera. (Of 124
-#: fits to masks of photographs, this was said of 26 of 28 that were off by more than 10 degrees.)
-UNCERTAIN = np.deg2rad(4)
 
 
 AnyRecord = TypeVar("AnyRecord", bound="Record")
@@ -318,7 +311,7 @@ def report(
     astray = context.share_astray(sums, whole)
     explained = context.kind.explains(view.touched_misfit, nearly_free)
     weak += (*open_turn, *_disagreement(sums, astray, context.kind.exact and not explained))
-    explained = astray <= ASTRAY and (explained or not context.kind.exact)
+    explained = astray <= RULES.astray and (explained or not context.kind.exact)
     status = _status(triangle, rest, whole, context.hidden, explained, bool(blind or free))
     if status == "converged" and open_turn:
         status = "uncertain"
@@ -343,7 +336,7 @@ def _disagreement(sums: Any, astray: float, unexplained: bool) -> tuple[str, ...
     off, words = sums.off / max(sums.touched, 1), []
     if unexplained:
         words.append(f"{off:.0%} of the outline is farther off than a mask of this kind should be")
-    if astray > (SOME if unexplained else ASTRAY):
+    if astray > (RULES.little if unexplained else RULES.astray):
         words.append(f"{astray:.0%} of the outline is far from the mask's edge: {WRONG}")
     return tuple(words)
 
@@ -371,15 +364,17 @@ def uncertain_rotation(
     covariance: np.ndarray,
     labels: tuple[str, ...],
     camera: Camera,
-    limit: float = UNCERTAIN,
+    limit: float | None = None,
     more: str = "",
 ) -> tuple[str, ...]:
     """A sentence on the turn that is known worst, and `more`, if its standard error is above a
-    limit (rad); none where it is not, no turn is free, or one is not determined."""
+    limit (rad; None: as the rules say); none where it is not, no turn is free, or one is not
+    determined."""
     turns = np.flatnonzero([label.startswith("rotation") for label in labels])
     if not (turns.size and np.all(np.isfinite(part := covariance[np.ix_(turns, turns)]))):
         return ()
     values, vectors = np.linalg.eigh(part)
+    limit = RULES.uncertain if limit is None else limit
     if not (sigma := float(np.sqrt(max(values[-1], 0.0)))) > limit:
         return ()
     axis, degrees = in_words(vectors[:, -1] @ axes_of(camera)), np.rad2deg(sigma)
@@ -482,7 +477,7 @@ def _status(
         # As much as there is to cover: `union` counts a pixel by the larger of image and target.
         covered = whole.touched == 0 and whole.union >= (1 - 1e-6) * whole.weight
         return "no_overlap" if whole.overlap == 0 else "saturated" if covered else "rank_deficient"
-    if whole.overlap < LEAST_IOU * whole.union and not hidden:
+    if whole.overlap < RULES.overlap * whole.union and not hidden:
         return "no_overlap"
     if not rest:
         return "max_steps"

@@ -12,13 +12,13 @@ from .._mask.mask import Mask
 from .._mask.search import aimed, guesses
 from .._outline.outline_errors import is_drawn
 from .._outline.statistics import is_explained, mask_errors, misfit_above_noise
+from .._rules import RULES
 from .._solver.moves import canonical
 from .._solver.parameters import components, focal_is_free
 from .._solver.problem import FINE_PX
 from .._solver.solver import Solution, Solver, Stop, onward
 from .._solver.uncertainty import free_turns
 from .places import (
-    NEAR_START,
     Free,
     Places,
     better,
@@ -29,33 +29,8 @@ from .places import (
     turned_by,
 )
 
-#: A mask that leaves less than this mean square residual of an outline pixel has no outliers.
-EXACT = 0.01
-#: A start whose intersection over union is below this may have the object beside the mask.
-POOR = 0.7
-#: Cameras that leave up to this many times the least squares may be right if a part of the mask is
-#: not to be believed; this many are looked at.
-RIVAL, RIVALS = 6.0, 6
-#: A camera that is farther from the best so far than this (rad) is another one.
-ELSEWHERE = np.deg2rad(10)
-#: A fit that ends this far (rad) from its start has lost it, and looks elsewhere too.
-ASTRAY = np.deg2rad(40)
-#: Two views explain a mask that says nothing exact equally well if their sums of squares differ by
-#: less than this share.
-EQUAL = 0.05
-#: Cameras this close (rad) are one.
-SAME = np.deg2rad(1.0)
-#: How many guesses a search tries on the coarsest level, how far apart (rad), and how many of the
-#: cameras that they lead to it may follow to finer ones.
-TRIED, APART, FOLLOWED = 16, np.deg2rad(15), 8
-#: A step that is negligible there, in coarse px.
+#: A step that is negligible while proposals are compared, in coarse px.
 ROUGH_PX = 0.3
-#: What leaves this many times the best one's mean square on a level is followed no further; after
-#: the first few steps there (hopeless ones take 50, and are still 12 times worse) it is this many
-#: times.
-WORSE, FIRST_STEPS, HOPELESS_AT_FIRST = 4.0, 8, 16.0
-#: Where the focal length is free, a search tries several: this much times the first guess.
-FOCAL_FACTORS = (1.0, 1.5, 0.67)
 
 OnStop = Callable[[Stop], None]
 
@@ -69,7 +44,8 @@ def from_start(solver: Solver, mask: Mask, start: Camera, on_stop: OnStop) -> Pl
     """The places that explain the mask best, the nearest to the start first among equals."""
     before = solver.look(start, -1)
     begin = start
-    if turns_freely(solver.freed) and float(before.sums.overlap) <= POOR * float(before.sums.union):
+    sums = before.sums
+    if turns_freely(solver.freed) and float(sums.overlap) <= RULES.overlap * float(sums.union):
         over = canonical(aimed(mask, solver.subject.from_afar, solver.subject.ball))
         begin = min((start, over), key=lambda camera: solver.look(camera, 0).squares)
     found = solver.solve(begin, range(len(solver.levels)), on_stop)
@@ -86,13 +62,15 @@ def looked_round(
     if not turns_freely(solver.freed):
         return settled(solver, found, start)
     places, content = Places(found, [], []), is_explained(solver, found.view)
-    if content or misfit_above_noise(solver, found.view) <= EXACT * mask.usual_weight:
+    nearly = misfit_above_noise(solver, found.view) <= RULES.exact * mask.usual_weight
+    # (A start may be a tooth of a gear off.)
+    if content or nearly or solver.subject.revolutions:
         places = settled(solver, found, start)
-        alike = [c for c in mirrored(solver, places.best) if angle(c, start) < NEAR_START]
+        alike = [c for c in mirrored(solver, places.best) if angle(c, start) < RULES.too_far]
         places = with_others(solver, places, finished(solver, alike))
         content = is_explained(solver, places.best.view)
     explained = solver.kind.exact and content
-    astray = not explained and angle(places.best.camera, start) > ASTRAY
+    astray = not explained and angle(places.best.camera, start) > RULES.too_far
     if astray or not content or is_drawn(mask_errors(solver, places.best.view)):
         places = _with_the_searched(
             solver, places, searched(solver, mask, on_stop, rounds=1), start
@@ -115,7 +93,7 @@ def _with_the_searched(
     alike = finished(solver, mirrored(solver, best))
     places = with_others(solver, places, not_copies([*seen, *alike], places.best), free=[])
 
-    near = angle(places.best.camera, start) < NEAR_START
+    near = angle(places.best.camera, start) < RULES.too_far
     walked = settled(solver, places.best, start if near else None)
     more = [*places.others, *places.rivals]
     if walked.best is not places.best:
@@ -129,7 +107,7 @@ def _copied(solver: Solver, found: Solution, near: Solution, start: Camera) -> b
     equal = not any(better(solver, *pair) for pair in views)
     known = np.isfinite(near.view.squares)
     return bool(
-        known and equal and angle(near.camera, start) < NEAR_START <= angle(found.camera, start)
+        known and equal and angle(near.camera, start) < RULES.too_far <= angle(found.camera, start)
     )
 
 
@@ -148,7 +126,8 @@ def with_others(
     found = _one_of_each([places.best, *places.others, *places.rivals, *more], solver.freed)
     best, *others = equally_good(solver, found)
     rivals = [f for f in found if all(f is not g for g in (best, *others))]
-    rivals = [f for f in rivals if f.view.squares <= RIVAL * best.view.squares][:RIVALS]
+    most = RULES.times * best.view.squares
+    rivals = [f for f in rivals if f.view.squares <= most][: RULES.followed]
     if best is not places.best:
         places = (
             settled(solver, best)._replace(others=[]) if free is None else Places(best, [], free)
@@ -165,7 +144,7 @@ def _within(places: Places, solver: Solver, found: Solution) -> bool:
         along = free.axis is not None and abs(turn @ free.axis) > 0.95 * far
         if along and far <= max(free.behind, free.ahead):
             return True
-    return bool(separation(solver, places.best.camera, found.camera) < SAME)
+    return bool(separation(solver, places.best.camera, found.camera) < RULES.same)
 
 
 def everywhere(solver: Solver, mask: Mask, on_stop: OnStop) -> Places:
@@ -185,10 +164,10 @@ def searched(solver: Solver, mask: Mask, on_stop: OnStop, rounds: int) -> list[S
     source = guesses(mask, solver.subject.from_afar, solver.subject.ball)
     for n in range(rounds):
         if free and n:
-            longer = mask.longer(FOCAL_FACTORS[n])
+            longer = mask.longer((1.0, RULES.focal_factor, 1 / RULES.focal_factor)[n])
             source = guesses(longer, solver.subject.from_afar, solver.subject.ball)
         source, likely = tee(source)
-        apart = APART / (1 if free else 2**n)
+        apart = RULES.apart / (1 if free else 2**n)
         found = _one_of_each([*found, *_followed(solver, likely, apart, on_stop)], solver.freed)
         if is_explained(solver, found[0].view):
             break
@@ -208,18 +187,19 @@ def finished(solver: Solver, views: Iterable[Camera]) -> list[Solution]:
     the first of these shows to be far worse than the best. (Coarser ones do not separate a tilt
     from its mirror image, and finer ones do not lead far.)"""
     coarse, *fine = range(max(solver.far - 1, 0), len(solver.levels))
-    begun = _finite([solver.solve(view, [coarse], steps=FIRST_STEPS) for view in views])
+    begun = _finite([solver.solve(view, [coarse], steps=RULES.steps) for view in views])
     further = lambda f: f if f.ended else onward(f, solver.solve(f.camera, [coarse]))
-    found = _likely([further(f) for f in _likely(begun, HOPELESS_AT_FIRST)])
+    found = _likely([further(f) for f in _likely(begun, RULES.times**2)])
     return [onward(f, solver.solve(f.camera, fine)) for f in found] if fine else found
 
 
-def _likely(found: list[Solution], times: float = WORSE) -> list[Solution]:
+def _likely(found: list[Solution], times: float | None = None) -> list[Solution]:
     """Return the cameras that are worth following further."""
     if not found:
         return []
     best = min(found, key=lambda f: f.view.squares)
-    return [f for f in found if f is best or f.view.misfit < times * best.view.misfit + EXACT]
+    most = (times or RULES.times) * best.view.misfit + RULES.exact
+    return [f for f in found if f is best or f.view.misfit < most]
 
 
 def _followed(
@@ -233,9 +213,9 @@ def _followed(
         if all(angle(guess, other) > apart for other in seen):
             found.append(solver.solve(canonical(guess), [coarsest], coarse_px=ROUGH_PX))
             seen += [guess, found[-1].camera]
-            if len(found) == TRIED:
+            if len(found) == RULES.tried:
                 break
-    found = _one_of_each(found, solver.freed)[:FOLLOWED]
+    found = _one_of_each(found, solver.freed)[: RULES.followed]
     for level in finer:
         found = [onward(f, solver.solve(f.camera, [level], on_stop)) for f in found]
         found = _likely(_one_of_each(found, solver.freed))
@@ -245,7 +225,7 @@ def _followed(
 def equally_good(solver: Solver, found: list[Solution]) -> list[Solution]:
     """The cameras that explain the mask as well as the first, the best, does."""
     best = found[0].view
-    share = 0.0 if solver.kind.exact else EQUAL
+    share = 0.0 if solver.kind.exact else RULES.equal
     return [
         f
         for f in found
@@ -267,7 +247,7 @@ def to_the_end(solver: Solver, found: list[Solution]) -> list[Solution]:
 
 def free_about(solver: Solver, found: Solution, places: Places) -> list[Free]:
     """The free directions of a camera, one of some places or a rival of these."""
-    if separation(solver, found.camera, places.best.camera) > ELSEWHERE:
+    if separation(solver, found.camera, places.best.camera) > RULES.apart:
         return settled(solver, found).free
     return places.free
 
@@ -292,4 +272,4 @@ def _same(a: Solution, b: Solution, freed: tuple[str, ...]) -> bool:
     free = free_turns(np.asarray(a.view.triangle, float), components(freed), axes_a)
     if len(free) > 1:
         return True
-    return bool(np.linalg.norm(turn @ free[0] if len(free) else turn) < SAME)
+    return bool(np.linalg.norm(turn @ free[0] if len(free) else turn) < RULES.same)

@@ -16,8 +16,6 @@ import numpy as np
 from .._camera.axes import angle
 from .._camera.camera import Camera
 from .._fit.places import (
-    APART as ONE_PLACE,
-    EQUAL_TIMES,
     Free,
     Places,
     better,
@@ -26,10 +24,7 @@ from .._fit.places import (
 )
 from .._fit.refine import Refiner, likeliest
 from .._fit.strategy import (
-    EQUAL,
-    EXACT,
     ROUGH_PX,
-    SAME,
     everywhere,
     looked_alike,
     looked_round,
@@ -37,6 +32,7 @@ from .._fit.strategy import (
 from .._mask.mask import Mask
 from .._mask.search import guesses
 from .._outline.statistics import is_explained
+from .._rules import RULES
 from .._solver.least_squares import LinearSolution, solve
 from .._solver.moves import canonical, on_film
 from .._solver.parameters import LABELS, labels_of
@@ -50,13 +46,13 @@ from .views import SCALE, State
 #: Of each view this many guesses are tried, so far apart (rad), and this many of all followed
 #: further. (Before an arm 4 and 2 find all of 8 cameras as well, in half the time, 1.6 for 3.0 s;
 #: the rest is for parts that look alike from several sides.)
-TRIED, APART, FOLLOWED = 12, np.deg2rad(15), 4
+TRIED, FOLLOWED = 12, 4
 #: This many views that look alike are tried at most.
 ALIKE = 6
 #: This many views are looked at before few states are left.
 LOOKED_AT = 4
 #: Steps on the coarsest level at first; what leaves this many times the least squares is given up.
-FIRST_STEPS, WORSE = 8, 4.0
+FIRST_STEPS = 8
 #: What covers less than this share of a drawn mask may have come from a wrong start. (An arm's hard
 #: masks: right ends have 0.98, of some 55 wrong ones two 0.82 and 0.86. A robot's, by a network,
 #: have 0.93 to 0.97.)
@@ -131,7 +127,7 @@ def compare(
 def _is_elsewhere(pose: LonePose, path: Path, state: State) -> bool:
     eye = pose.problem.eyes[0]
     cameras = eye.canonical(path.descent.state), eye.canonical(state)
-    return bool(separation(eye.solver, *cameras) > ONE_PLACE)
+    return bool(separation(eye.solver, *cameras) > RULES.same)
 
 
 def join(problem: JointProblem, state: State, moved: list[tuple[LonePose, State]]) -> State:
@@ -151,7 +147,9 @@ def join(problem: JointProblem, state: State, moved: list[tuple[LonePose, State]
 def _noise(problem: JointProblem, path: Path) -> float:
     """The most by which sums of squares of equal places differ."""
     pairs = zip(problem.eyes, path.descent.seen, strict=True)
-    return EQUAL_TIMES * max(max(e.solver.kind.variance, s.view.touched_misfit) for e, s in pairs)
+    return RULES.equal_times * max(
+        max(e.solver.kind.variance, s.view.touched_misfit) for e, s in pairs
+    )
 
 
 def _lone_poses(problem: JointProblem, path: Path | None) -> list[LonePose]:
@@ -254,7 +252,7 @@ def _keep_agreeing(
     """The best place, and others: of masks with outliers those that agree with most of the outline,
     as `fit_camera` has it."""
     found, reach = [places.best, *places.others], problem.outlier_px
-    if reach is None or places.best.view.touched_misfit <= EXACT * mask.usual_weight:
+    if reach is None or places.best.view.touched_misfit <= RULES.exact * mask.usual_weight:
         return found
     refiner = Refiner.on(solver, mask, reach)
     candidates = refiner.candidates([*found, *places.rivals], start)
@@ -263,7 +261,7 @@ def _keep_agreeing(
 
 
 def _is_same(solver: Solver, place: Solution, other: Solution) -> bool:
-    near = separation(solver, place.camera, other.camera) < ONE_PLACE
+    near = separation(solver, place.camera, other.camera) < RULES.same
     return bool(near and not better(solver, place.view, other.view))
 
 
@@ -293,19 +291,19 @@ def _search_together(pose: LonePose, state: State, tell: Tell) -> list[Path]:
 
     tried.sort(key=squares)
     paths = []
-    for begin in _apart(few, tried, APART)[: 2 * FOLLOWED]:
+    for begin in _apart(few, tried, RULES.apart)[: 2 * FOLLOWED]:
         there = coarsest.descend(begin, FIRST_STEPS, ROUGH_PX)
         ends = LevelEnd(begin, few.levels, 0), LevelEnd(there.state, few.levels, there.steps)
         paths.append(Path(there, ends))
     paths.sort(key=lambda path: path.squares)
-    paths = _apart(few, paths, APART)[:FOLLOWED]
+    paths = _apart(few, paths, RULES.apart)[:FOLLOWED]
     for level in range(few.levels, 0, -1):
         # (All views are looked at where few states are left.)
         part = few if level > 2 else problem
         paths = [p.then(descend(part, p.descent.state, tell, [level])) for p in paths]
         paths.sort(key=lambda p: p.squares)
-        most = (WORSE if level > 1 else 1 + EQUAL) * paths[0].squares
-        best, *others = _apart(problem, paths, SAME)
+        most = (RULES.times if level > 1 else 1 + RULES.equal) * paths[0].squares
+        best, *others = _apart(problem, paths, RULES.same)
         paths = [best, *(p for p in others if p.squares <= most)]
     return paths
 
@@ -314,11 +312,11 @@ def _best_paths(problem: JointProblem, paths: list[Path]) -> list[Path]:
     """The paths that explain the masks as well as the best of them, which stands first unless the
     first does as well; each once."""
     least = min(path.squares for path in paths)
-    noise = sum(EQUAL_TIMES * eye.solver.kind.variance for eye in problem.eyes)
-    good = [p for p in paths if p.squares <= (1 + EQUAL) * least + noise] or paths[:1]
+    noise = sum(RULES.equal_times * eye.solver.kind.variance for eye in problem.eyes)
+    good = [p for p in paths if p.squares <= (1 + RULES.equal) * least + noise] or paths[:1]
     if good[0] is not paths[0]:
         good.sort(key=lambda p: p.squares)
-    return _apart(problem, good, SAME)
+    return _apart(problem, good, RULES.same)
 
 
 def _lookalikes(pose: LonePose, best: Path, tell: Tell) -> list[Path]:
@@ -330,9 +328,9 @@ def _lookalikes(pose: LonePose, best: Path, tell: Tell) -> list[Path]:
     alike = [eye.with_camera(pose.name, c, state) for c in mirrored(eye.solver, found)]
     coarse = replace(few, depth=min(problem.levels, 2))
     here = sum(seen.view.squares for seen in coarse.look(state))
-    noise = sum(EXACT * float(seen.view.sums.touched) for seen in best.descent.seen)
+    noise = sum(RULES.exact * float(seen.view.sums.touched) for seen in best.descent.seen)
     begun = [coarse.descend(other, FIRST_STEPS, ROUGH_PX) for other in alike[:ALIKE]]
-    likely = [d.state for d in begun if d.squares <= WORSE * here + noise]
+    likely = [d.state for d in begun if d.squares <= RULES.times * here + noise]
     return [descend(problem, other, tell, range(coarse.depth, 0, -1)) for other in likely]
 
 
@@ -344,7 +342,7 @@ def _guesses(problem: JointProblem, name: str, state: State) -> list[State]:
         for guess in guesses(eye.mask, eye.solver.subject.scene, eye.solver.subject.ball):
             if len(seen) == TRIED:
                 break
-            if all(angle(guess, other) > APART for other in seen):
+            if all(angle(guess, other) > RULES.apart for other in seen):
                 seen.append(guess)
                 result.append(eye.with_camera(name, canonical(guess), state))
     return result

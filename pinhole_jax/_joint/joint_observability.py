@@ -8,9 +8,10 @@ import numpy as np
 from .._camera.camera import Camera
 from .._fit.observability import Observability, observability_of
 from .._numerics.arrays import ArrayLike, Input
+from .._rules import RULES
 from .._solver.priors import Pair
 from .._solver.problem import UNIT_PX
-from .._solver.uncertainty import BLIND, WEAK, sentence
+from .._solver.uncertainty import BLIND, sentence
 from .door import joint_problem
 from .estimates import all_estimates
 from .system import JointProblem
@@ -84,7 +85,7 @@ def _weak(problem: JointProblem, triangle: np.ndarray, blind: float) -> Iterator
     _, values, directions = np.linalg.svd(triangle)
     shares = values / max(float(values[0]), 1e-300)
     for share, direction in zip(shares[::-1], directions[::-1], strict=True):
-        if share <= WEAK:
+        if share <= RULES.weak:
             yield sentence(_words(problem, direction), share, bool(share <= blind))
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .._fit.places import Free
-from .._fit.strategy import EXACT
+from .._rules import RULES
 from .._solver.least_squares import Descent
 from .._solver.looks import Sums
 from .._solver.problem import COARSE_PX, FINE_PX
@@ -94,7 +94,7 @@ def finish(problem: JointProblem, path: Path, tell: Tell, photos: bool = False) 
     `photos`, if that is asked for."""
     eyes, reach, near = problem.eyes, problem.outlier_px, problem
     misfits = [seen.view.touched_misfit for seen in path.descent.seen]
-    inexact = [k for k, misfit in enumerate(misfits) if misfit > EXACT]
+    inexact = [k for k, misfit in enumerate(misfits) if misfit > RULES.exact]
     px = DRAWN_PX if inexact else FINE_PX[problem.dtype]
     if reach is None or not inexact:
         path = path.then(descend(problem, path.descent.state, tell, [1], px))

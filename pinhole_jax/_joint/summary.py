@@ -9,8 +9,6 @@ from .._camera.camera import Camera
 from .._camera.poses import at_pose
 from .._fit.places import Free, transported
 from .._fit.result import (
-    ASTRAY,
-    LEAST_IOU,
     WRONG,
     Fit,
     MaskError,
@@ -21,6 +19,7 @@ from .._fit.result import (
     uncertain_rotation,
     widened,
 )
+from .._rules import RULES
 from .._solver.moves import on_film
 from .._solver.solver import Solution, Stop
 from ..names import STATUSES
@@ -188,7 +187,7 @@ def _status(
     found = end.found
     if not np.isfinite(found.descent.squares) or np.any(np.isnan(fit.std)):
         return "non_finite", ()
-    if fit.iou < LEAST_IOU:
+    if fit.iou < RULES.overlap:
         return "no_overlap", ()
     if not found.descent.ended:
         return "max_steps", ()
@@ -201,7 +200,7 @@ def _status(
         return "misfit", (f"{len(lost)} of {len(numbers)} masks do not show the model",)
     far = float(np.median([views[k].astray for k in numbers]))
     # (What several masks show alone was compared with all places that it may be seen from.)
-    if far > ASTRAY and not _is_compared(end, numbers[0]):
+    if far > RULES.astray and not _is_compared(end, numbers[0]):
         edges = "the edges of most masks" if len(numbers) > 1 else "the mask's edge"
         return "misfit", (f"{far:.0%} of the outline is far from {edges}: {WRONG}",)
     if np.any(np.isinf(fit.std)):

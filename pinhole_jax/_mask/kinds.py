@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from .._rules import RULES
 from .edges import EdgeBand, alike, beside, counted, edge_band, looked_up
 from .target import as_coverage, inside_of
 
@@ -24,24 +25,6 @@ CUT_CORNERS = 0.6
 ROUNDING = 100
 #: As many samples a pixel at most are told from 8 bits.
 SAMPLES = 64
-#: A mask with fewer greys than this share of the pixels beside its edge is cut to one bit. (Exact
-#: coverage: half and more; 2 x 2 samples: a quarter; a matted picture without soft edges: 0.07.)
-GREY_SHARE = 0.12
-#: Far from edges: this many px away.
-FAR_PX = 3.0
-#: Edges are wide if this share of the pixels between 0 and 1 lies in runs of 3 and more both ways.
-#: (Exact coverage: 0 to 0.01, a blur of 0.3 px: 0.01 to 0.18, of 0.5 px: 0.98 and more.)
-WIDE_SHARE = 0.3
-#: A wide edge's residual beside a sharp one: this much for each px of `_edge_width` above the
-#: exact edge's. (Blurs of 0.5, 0.8, 1.5 px: 0.011, 0.056, 0.17; widths 0.30, 0.48, 0.86 px.)
-PER_WIDTH, SHARP_WIDTH, LEAST_WIDE = 0.3, 0.25, 0.01
-#: Noise whose fourth moment is above this many squares of its second is not the same everywhere
-#: (Gaussian: 3; what JPEG leaves: tens).
-UNEVEN = 8.0
-#: A right camera leaves at most this many times the variance.
-TIMES = 4.0
-#: ... and of a mask that says nothing exact, as much as a hard edge may (1/12 on average).
-HARD = 0.1
 #: A pixel of an exact mask is off if its residual is this many standard deviations.
 OFF_TIMES = 3.0
 
@@ -84,7 +67,7 @@ class Kind(NamedTuple):
         """True if a right camera may leave this mean square residual of an outline pixel;
         where a turn or shift is nearly free, no more than the kind has to leave."""
         strict = nearly_free and self.exact
-        return misfit <= (TIMES * self.variance if strict else self.most)
+        return misfit <= (RULES.times * self.variance if strict else self.most)
 
 
 class _PartialPixels(NamedTuple):
@@ -119,9 +102,9 @@ def _partial_pixels(target: np.ndarray, weights: np.ndarray) -> _PartialPixels:
 def kind_of(target: np.ndarray, weights: np.ndarray, dtype: Any) -> Kind:
     """Return the kind of a mask (see `check_target`) that is fitted in a float type."""
     some = _partial_pixels(target, weights)
-    if not some.place.size or some.place.size < GREY_SHARE * len(beside(inside_of(target))):
+    if not some.place.size or some.place.size < RULES.grey_share * len(beside(inside_of(target))):
         uniform = (scale := _weight_at_edges(target, weights)) * UNIFORM
-        return Kind("one bit", uniform, scale * HARD, CUT_CORNERS * uniform, False)
+        return Kind("one bit", uniform, scale * RULES.hard, CUT_CORNERS * uniform, False)
     # A sum along a row of a fine mesh's mask is 1 to rounding only: one such pixel in an image is
     # not to make a computed mask a noisy one.
     computed = target.dtype if np.issubdtype(target.dtype, np.floating) else dtype
@@ -141,16 +124,17 @@ def kind_of(target: np.ndarray, weights: np.ndarray, dtype: Any) -> Kind:
     variance, step = _quantisation(between.value)
     least = scale * max(rounding**2, UNIFORM * step**2)
     variance = scale * max(variance, rounding**2, RESOLVED[np.dtype(dtype)] ** 2)
-    if count and np.mean(_shorter_run(between) > 2) > WIDE_SHARE:
+    if count and np.mean(_shorter_run(between) > 2) > RULES.wide_share:
         width = _edge_width(target, between)
-        left = (max(PER_WIDTH * (width - SHARP_WIDTH), LEAST_WIDE) + noise**2) * scale
-        return Kind("wide edges", left, max(HARD * scale, 1.5 * left), least, False, far)
+        # (Widths of 0.30, 0.48, 0.86 px, blurs of 0.5, 0.8, 1.5 px, leave 0.011, 0.056, 0.17.)
+        left = (width**2 / 4 + noise**2) * scale
+        return Kind("wide edges", left, max(RULES.hard * scale, 1.5 * left), least, False, far)
     if noise > 0:
         variance = scale * noise**2 + least
-        most = TIMES * variance if even else HARD * scale
+        most = RULES.times * variance if even else RULES.hard * scale
         return Kind("noisy", variance, most, least, even, far, spread)
     # A renderer's 8 bits: some hundred samples a pixel, or its filter.
-    most = TIMES * (SAMPLED / 1024 * scale if step == 1 / 255 else variance)
+    most = RULES.times * (SAMPLED / 1024 * scale if step == 1 / 255 else variance)
     indistinct = max(least, scale * RESOLVED[np.dtype(dtype)] ** 2)
     return Kind("soft", variance, most, least, True, alike=indistinct)
 
@@ -182,7 +166,7 @@ def _noise_far_from_edges(
     `some` are the pixels that are not 0 or 1: the others are off by nothing. What is off by `quiet`
     at most is no noise.
     """
-    close, weight = _weights_near(target, weights, FAR_PX)
+    close, weight = _weights_near(target, weights, RULES.beside)
     is_close = looked_up(close.place, np.ones(len(close.place)), some.place, 0.0)
     away = some.where((some.weight > 0) & (is_close == 0))
     nearest = np.round(away.value)
@@ -194,7 +178,7 @@ def _noise_far_from_edges(
     beside = int(np.count_nonzero(weight))
     number = counted(weights) - beside
     mean = float(np.sum(squares)) / number
-    even = float(np.sum(squares**2)) / number < UNEVEN * mean**2
+    even = float(np.sum(squares**2)) / number < RULES.uneven * mean**2
     clipped = np.all(off[nearest > 0] <= 0) and np.all(off[nearest <= 0] >= 0)
     weighted = away.weight * squares
     far = float(np.sum(weighted)) / number

@@ -12,13 +12,12 @@ import numpy as np
 from .._camera.axes import axes_of
 from .._camera.camera import Camera
 from .._numerics.memo import memoised
+from .._rules import RULES
 from .._scene.scene import Ball, Scene
 from .mask import Mask
 from .signatures import ANGLES, Signature, distances, facing, signatures
 from .thumbnails import SIZE, axes_inward, thumbnails
 
-#: Directions looked from (some 11 degrees apart).
-VIEWS = 400
 #: The nearest that a view is taken from, in radii of the scene.
 NEAREST = 1.2
 #: Views are drawn from distances that differ by this factor.
@@ -68,9 +67,9 @@ def partly_hidden(
     mask, the likeliest first, if something hides what lies there; for None, if nothing does."""
     whole = mask.signature()
     # The mean distance (radii) from which the scene has the mask's size.
-    few = _seen_all_round(scene, ball, VIEWS // 10, 5.0)
+    few = _seen_all_round(scene, ball, RULES.views // 10, 5.0)
     sizes = few.signatures.solid_angle / whole.solid_angle[0]
-    views = _seen_all_round(scene, ball, VIEWS, few.reach * np.sqrt(np.median(sizes)))
+    views = _seen_all_round(scene, ball, RULES.views, few.reach * np.sqrt(np.median(sizes)))
     goals = [whole if d is None else mask.signature(d) for d in directions]
     return [_likely(mask, ball, goal, views) for goal in goals]
 

@@ -18,28 +18,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._mask.edges import Weights
+from .._rules import RULES
 from .._solver.looks import View
 from .stretches import Stretches, stretches_of
 
-#: Sizes (px) and lengths (px) of errors, and the share of their variance that is each stretch's
-#: own. (Twice as fine grids gave the same intervals.)
-SIZES, LENGTHS, OWN = (0.08, 0.2, 0.5, 1.2, 3.0), (6.0, 16.0, 40.0, 100.0), (0.0, 0.7)
-#: The bias's standard deviation, in sizes of the other errors and in px beside that, and how likely
-#: it is: segmenters are off by as much as they waver, masks that were grown or shrunk by more.
-BIASES = ((1.0, 0.5, 0.8), (2.0, 2.5, 0.2))
-#: How likely it is beforehand that a mask is computed; above `SURE`, it is.
-COMPUTED, SURE = 0.5, 0.99
-#: Below this likelihood of being computed a mask is drawn. (Masks off by 0.3 px: 1e-10 and less.)
-DRAWN = 0.05
-#: Of a computed mask's pixels beside the outline this many are on its wrong side. (Of 72 such masks
-#: one had one, of 196; masks that are shrunk or wavy have 2 to 60 %.)
-STRAYS = 0.003
-#: ... and of a drawn one's at least this many: errors of the least size put 0.008 there.
-LEAST_DRAWN = 0.005
-#: Quantisation's variance, beside that of pixels which err independently: straight edges that
-#: nearly follow the rows err alike.
-#: (Of 48 computed masks of one bit all are told for certain with 2, all but 8 with 1.)
-ALIKE = 2.0
 #: A px of a straight edge touches at most this many pixels; an outline that touches more has
 #: several edges in a pixel, and each errs. (Smooth outlines and scans: 1.25; a hedgehog: 1.4,
 #: soup: 2.2.)
@@ -68,7 +50,7 @@ class OutlineErrors(NamedTuple):
 
 def is_drawn(errors: OutlineErrors | None) -> bool:
     """True if a person or a network made the mask, not a program."""
-    return errors is not None and errors.computed < DRAWN
+    return errors is not None and errors.computed < 1 - RULES.sure
 
 
 class _Hypotheses(NamedTuple):
@@ -103,23 +85,23 @@ def _odds_of_computed(beyond: int, pixels: int) -> float:
     """
     from scipy.special import logsumexp
 
-    shares = np.geomspace(LEAST_DRAWN, 0.5, 100)
+    shares = np.geomspace(RULES.strays, 0.5, 100)
     likely = lambda share: beyond * np.log(share) + (pixels - beyond) * np.log1p(-share)
     drawn = logsumexp(likely(shares)) - np.log(len(shares))
-    return float(likely(STRAYS) - drawn)
+    return float(likely(RULES.strays) - drawn)
 
 
 def _weighed(stretches: Stretches, quantisation: float, odds: float) -> OutlineErrors:
     """Return the mean of the hypotheses, each as likely as the offsets are under it, and as the
     mask is of being computed (by logarithmic `odds`)."""
     model = _Model(stretches, quantisation, _felt(stretches.offset, stretches.share))
-    together = _hypotheses(model)
+    together = _hypotheses(model, RULES.lengths, RULES.own)
     together.independent[0] = np.sum(stretches.length)
     logs = together.log_likelihood
     logs[0] += odds
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
-    if weights[0] > SURE:
+    if weights[0] > RULES.sure:
         weights = np.where(np.arange(len(weights)), 0.0, 1.0)
     likeliest = int(np.argmax(weights))
     return OutlineErrors(
@@ -131,15 +113,13 @@ def _weighed(stretches: Stretches, quantisation: float, odds: float) -> OutlineE
     )
 
 
-def _hypotheses(
-    model: "_Model", lengths: tuple[float, ...] = LENGTHS, own: tuple[float, ...] = OWN
-) -> _Hypotheses:
+def _hypotheses(model: "_Model", lengths: tuple[float, ...], own: tuple[float, ...]) -> _Hypotheses:
     """The hypotheses on a mask's errors: that it is computed, and all sizes, lengths, biases."""
     none = np.zeros(1)
-    found = [model.hypotheses(0.0, none, none, none, np.full(1, COMPUTED))]
-    times, px, likely = np.array(BIASES).T
-    each = (1 - COMPUTED) / (len(SIZES) * len(lengths) * len(own))
-    sizes, shares, times = (x.ravel() for x in np.meshgrid(SIZES, own, times, indexing="ij"))
+    found = [model.hypotheses(0.0, none, none, none, np.full(1, 0.5))]
+    times, px, likely = np.array(RULES.biases).T
+    each = (1 - 0.5) / (len(RULES.sizes) * len(lengths) * len(own))
+    sizes, shares, times = (x.ravel() for x in np.meshgrid(RULES.sizes, own, times, indexing="ij"))
     bias = np.hypot(times * sizes, np.resize(px, sizes.shape))
     prior = each * np.resize(likely, sizes.shape)
     found += [model.hypotheses(length, sizes, shares, bias, prior) for length in lengths]
@@ -181,7 +161,8 @@ def weigh(offsets: Offsets, quantisation: float, roughly: bool = False) -> Error
 
     stretches = Stretches(*offsets, np.zeros(len(offsets.offset)), 0, 0)
     model = _Model(stretches, quantisation, stretches.offset)
-    together = _hypotheses(model, LENGTHS[1:2], OWN[:1]) if roughly else _hypotheses(model)
+    grid = (RULES.lengths[1:2], RULES.own[:1]) if roughly else (RULES.lengths, RULES.own)
+    together = _hypotheses(model, *grid)
     logs = together.log_likelihood
     likeliest = int(np.argmax(logs))
     size, length = together.size[likeliest], together.length[likeliest]
@@ -197,7 +178,7 @@ class _Model:
         between = stretches.at[:, None] - stretches.at[None]
         self._distance = np.sqrt(np.sum(between**2, axis=-1))
         crowded = max(1.0, stretches.pixels / float(np.sum(stretches.length)) / STRAIGHT)
-        self._quantisation = ALIKE * quantisation * crowded / float(np.mean(stretches.length))
+        self._quantisation = RULES.alike * quantisation * crowded / float(np.mean(stretches.length))
         units = X / np.maximum(np.linalg.norm(X, axis=0), 1e-300)
         self._columns = np.column_stack([units, np.ones(self.count), offset])
         self._pull = X.T * stretches.share

@@ -6,12 +6,11 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from .._mask.edges import Weights
+from .._rules import RULES
 from .._solver.looks import View
 from .._solver.solver import Solver
 from .outline_errors import OutlineErrors, is_drawn, outline_errors
 
-#: Noise leaves at most this many standard errors more than on average.
-ERRORS = 4.0
 #: What a hard edge leaves in a pixel of the outline, and what 8 bits do.
 ONE_BIT, LEAST_VARIANCE = 1 / 12, 1 / 12 / 255**2
 
@@ -38,7 +37,7 @@ def is_explained(solver: Solver, view: View) -> bool:
     if not kind.spread:
         return bool(misfit <= kind.most)
     excess = (misfit - kind.variance) * max(float(view.sums.touched), 1.0)
-    return bool(excess <= ERRORS * kind.spread)
+    return bool(excess <= RULES.times * kind.spread)
 
 
 def quantisation(variance: float, weight: float) -> float:

@@ -9,23 +9,12 @@ from .._mask.edges import Weights, weights_at
 from .._mask.pyramid import Level
 from .._mask.target import Window, as_coverage
 from .._native.look import TouchedPixels
+from .._rules import RULES
 from .._solver.looks import HIDDEN, View
 
-#: About this many stretches. (On 90 masks that err over 2 to 30 px, of three shapes, 95 % intervals
-#: held 94 % of the truths with 48 or 60 stretches, 91 % with 80 or 100.)
-STRETCHES = 60
-#: ... of at least this many px.
-SHORTEST = 2.0
 #: What a pixel's coverage differs by counts for the stretch nearest to it, this many px away at
 #: most.
 NEAREST = 16.0
-#: The outline within a pixel is this long (px) at most.
-LONGEST_WITHIN = 1.5
-#: A pixel whose coverage differs from the mask by more is on the wrong side of the outline. (One
-#: bit differs by a half at most; a camera's own error and corners move that by hundredths.)
-WRONG_SIDE = 0.6
-#: A stretch whose pixels weigh less than this share of others tells nothing.
-LEAST_WEIGHT = 0.2
 
 
 class Stretches(NamedTuple):
@@ -119,16 +108,16 @@ def stretches_of(view: View, target: np.ndarray, weights: Weights) -> Stretches 
     # How much of the outline is in a pixel: what a move covers there for each px.
     of_pixel = by_move[outline.stretch]
     within = np.sum(rows * of_pixel, axis=1) / np.maximum(np.sum(of_pixel**2, axis=1), 1e-300)
-    share = outline.summed(weight * np.clip(within, 0, LONGEST_WITHIN) ** 2)
+    share = outline.summed(weight * np.clip(within, 0, 2**0.5) ** 2)
 
-    least = LEAST_WEIGHT * np.median(weight[weight > 0])
+    least = RULES.small * np.median(weight[weight > 0])
     good = (length_counted > 0.5) & (outline.summed(weight) > least * pixels)
     at, length, offset, by_move, share = (
         x[good] for x in (outline.means(place), length, offset, by_move, share)
     )
     inside = np.asarray(view.pixels.coverage, float)[shown]
     differs = np.abs(inside - as_coverage(mask[tuple(place.T)]))[weight > 0]
-    beyond = int(np.sum(differs > WRONG_SIDE))
+    beyond = int(np.sum(differs > RULES.wrong_side))
     return Stretches(at, length, offset, by_move, share, beyond, len(differs))
 
 
@@ -201,7 +190,7 @@ def _stretched(place: np.ndarray, coverage: "Coverage", length: float) -> _Outli
     up = at(np.minimum(row + 1, H - 1), column) - at(np.maximum(row - 1, 0), column)
     right = at(row, np.minimum(column + 1, W - 1)) - at(row, np.maximum(column - 1, 0))
     side = np.round(np.arctan2(up, right) / (np.pi / 2)) % 4
-    key = np.column_stack([place // max(SHORTEST, length / STRETCHES), side])
+    key = np.column_stack([place // max(RULES.stretch, length / RULES.stretches), side])
     _, stretch = np.unique(key, axis=0, return_inverse=True)
     stretch = stretch.ravel()
     return _Outline(place, stretch, int(stretch.max()) + 1)

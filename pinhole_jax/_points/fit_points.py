@@ -13,7 +13,6 @@ from .._files.progress import say, shown
 from .._fit.fit_camera import check_reach, check_steps
 from .._fit.implicit import check_plain, steps_of, through
 from .._fit.result import (
-    UNCERTAIN,
     CameraResult,
     Progress,
     at_rest,
@@ -24,6 +23,7 @@ from .._fit.result import (
 )
 from .._joint.lenses import known_by_others, with_shared
 from .._numerics.arrays import ArrayLike, Input, checked, is_concrete
+from .._rules import RULES
 from .._solver.least_squares import solve
 from .._solver.moves import on_film
 from .._solver.parameters import check_free, components, labels_of
@@ -405,7 +405,7 @@ def _judge(
     """A status by the error bars alone, and words about them."""
     if not noise.freedom > 0:
         return "unchecked", ()
-    limit, more = (UNCERTAIN if noise.at_most < FOUR_SIGMA else UNCERTAIN_OF_FEW), ""
+    limit, more = (RULES.uncertain if noise.at_most < FOUR_SIGMA else UNCERTAIN_OF_FEW), ""
     if noise.freedom <= FEW:
         spare = f"{noise.freedom:.0f} coordinate{'s' * (noise.freedom > 1)}"
         more = f", itself a guess from {spare} more than unknowns"

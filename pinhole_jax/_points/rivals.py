@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .._camera.axes import angle
-from .._fit.places import APART
+from .._rules import RULES
 from .._solver.least_squares import levenberg_marquardt
 from .._solver.parameters import labels_of
 from .._solver.priors import Prior
@@ -43,7 +43,7 @@ def rivals(problem: PointProblem, view: PointView, noise: Noise, limit: float) -
     starts = _starts(begin, explained) if "pose" in view.freed else []
     if not starts or (explained and _is_blind(_alone(view, problem.alone))):
         return [view]
-    near = APART if noise.freedom > 0 else APART_OF_THREE
+    near = RULES.same if noise.freedom > 0 else APART_OF_THREE
     places = [here] if is_somewhere else []
     for start in starts if is_somewhere else [begin, *starts]:
         there = _end(start, problem.alone)

@@ -5,14 +5,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from .._rules import RULES
 from .parameters import COMPONENTS
 
 #: Singular values under this share of the largest count as no information at all ...
 BLIND = {np.dtype(np.float32): 1e-5, np.dtype(np.float64): 1e-9}
 #: ... under this one as so little that a turn by it gives no other view ...
 UNSEEN = 1e-3
-#: ... and under this one as little: a direction worth naming.
-WEAK = 0.03
 
 
 def covariance(
@@ -58,13 +57,13 @@ def weak_directions(
     words = tuple(
         sentence(_words(direction, components, axes), s, s <= blind)
         for s, direction in zip(share[::-1], directions[::-1], strict=True)
-        if s < WEAK and all(abs(direction @ m) < 0.7 * np.linalg.norm(m) for m in named)
+        if s < RULES.weak and all(abs(direction @ m) < 0.7 * np.linalg.norm(m) for m in named)
     )
     return bool(share[-1] <= blind), words
 
 
 def weak_moves(
-    triangle: np.ndarray, components: list[str], weak: float = WEAK
+    triangle: np.ndarray, components: list[str], weak: float | None = None
 ) -> list[tuple[float, np.ndarray]]:
     """Return the singular values and directions (n,) of turns and shifts that show less than a
     share of the best-seen move, the least last."""
@@ -72,7 +71,8 @@ def weak_moves(
     pose = np.array([c.split("_")[0] in ("turn", "spin", "shift") for c in components])
     top = max(values[0], np.finfo(values.dtype).tiny)
     pairs = zip(values, directions, strict=True)
-    return [(s, d) for s, d in pairs if s < weak * top and np.linalg.norm(d[pose]) > 0.7]
+    most = (weak or RULES.weak) * top
+    return [(s, d) for s, d in pairs if s < most and np.linalg.norm(d[pose]) > 0.7]
 
 
 def free_turns(triangle: np.ndarray, components: list[str], axes: np.ndarray) -> np.ndarray:
