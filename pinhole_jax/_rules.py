@@ -94,7 +94,7 @@ class Rules:
     #: The bias's standard deviation, in sizes of the other errors and in px beside that, and how
     #: likely it is: segmenters are off by as much as they waver, grown or shrunk masks by more.
     biases: tuple[tuple[float, float, float], ...] = ((1.0, 0.5, 0.8), (2.0, 2.5, 0.2))
-    #: So likely, a mask is called computed; as unlikely, drawn.
+    #: What is so likely is sure: that a mask is computed, or drawn, or a camera not the other one.
     sure: float = 0.99
     #: The share of a computed mask's pixels beside the outline on its wrong side: those whose
     #: coverage differs by more than `wrong_side`. (Of 72 masks one had one, of 196; shrunk or
@@ -128,8 +128,6 @@ class Rules:
     #: ... and more that is not believed leaves room for other views, if no start rules them out.
     #: (Of 200 wrong masks one: a bracket with a fifth cut off, seen from 120 degrees away.)
     doubted: float = 0.25
-    #: A camera is one of several modes if its likelihood is at least this share of the best one's.
-    odds: float = 1e-3
     #: While cameras are refined, those are left whose logarithm is less by this.
     hopeless: float = 60.0
     #: How far, in standard errors, a drawn mask's profile is looked at, and how many times wider
@@ -162,7 +160,7 @@ class Rules:
     @property
     def drawn_times(self) -> float:
         """`equal_times` of a mask that a person or a network drew, whose errors are counted."""
-        return float(-2 * np.log(self.odds))
+        return float(-2 * np.log(1 - self.sure))
 
 
 RULES = Rules()
