@@ -62,6 +62,13 @@ def in_arrays(monkeypatch):
     jax.clear_caches()
 
 
+@pytest.fixture(params=["library", pytest.param("arrays", marks=pytest.mark.long)])
+def both_ways(request):
+    """Draw by the library, and once more by arrays."""
+    if request.param == "arrays":
+        request.getfixturevalue("in_arrays")
+
+
 @pytest.fixture
 def exhaustive(pytestconfig) -> bool:
     """Whether tests are to run at full size."""

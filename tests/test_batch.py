@@ -24,7 +24,7 @@ import pinhole_jax as pj
 from pinhole_jax import __main__ as command, batch, formats, io
 from pinhole_jax.batch import parts
 from pinhole_jax.batch.parts import Writer
-from pinhole_jax.batch.records import check_record, digest_of
+from pinhole_jax.batch.records import digest_of
 from pinhole_jax.batch.rows import empty_row, line_of, row_of
 
 SIZE = 64
@@ -200,12 +200,6 @@ def test_record_without_id_is_refused(record, words):
         batch.fit_one(record)
     with pytest.raises(ValueError, match=words):
         batch.fit_many([record])
-
-
-def test_paths_and_arrays_are_plain_in_a_record():
-    record = {"id": "a", "mesh": Path("a.ply"), "mask": "a.png", "K": np.eye(3), "photo": None}
-    plain = check_record(record)
-    assert plain == {"id": "a", "mesh": "a.ply", "mask": "a.png", "K": np.eye(3).tolist()}
 
 
 def test_digest_follows_file_contents(tmp_path):

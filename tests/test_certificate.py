@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from chosen import full
 from jax.custom_derivatives import linear_call
+from jax.lax import stop_gradient
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
@@ -70,7 +71,7 @@ def test_silhouette_of_spheres_in_float32_passes():
 def test_float32_without_x64_takes_longer_steps():
     with jax.enable_x64(False):
         found = pj.check_gradients(camera("float32"), spheres("float32"), blob, verbose=False)
-        wrong = lambda camera, scene: blob(jax.lax.stop_gradient(camera), scene)
+        wrong = lambda camera, scene: blob(stop_gradient(camera), scene)
         failed = pj.check_gradients(camera("float32"), spheres("float32"), wrong, verbose=False)
     assert found.passed, found
     assert min(row.step for row in found.rows) > 1e-4
@@ -124,7 +125,7 @@ class Faulty(eqx.Module):
     gains: Gains
 
     def __call__(self, camera, scene):
-        return planted(jax.lax.stop_gradient(self.gains), camera, scene)
+        return planted(stop_gradient(self.gains), camera, scene)
 
 
 SCENE = spheres()
@@ -187,7 +188,7 @@ def test_sign_flipped_in_one_pixel_is_caught(weak_pixel, gain):
 @pytest.mark.long
 def test_stop_gradient_is_caught_and_named():
     def stopped(camera, scene):
-        camera = eqx.tree_at(lambda c: c.u, camera, jax.lax.stop_gradient(camera.u))
+        camera = eqx.tree_at(lambda c: c.u, camera, stop_gradient(camera.u))
         return blob(camera, scene)
 
     found = pj.check_gradients(camera(), SCENE, stopped, verbose=False)
@@ -232,23 +233,43 @@ def test_image_that_is_not_finite_or_does_not_move_fails(wrong, verdict):
     assert ("FAILED: nothing moves the image" in str(found)) == (verdict == "moves nothing")
 
 
+class Kinked(eqx.Module):
+    """The blob, with a kink where the eye's x has a value; and how much too steep it is there."""
+
+    x: Any
+    steep: Any
+
+    def __call__(self, camera, scene):
+        x = camera.e[0]
+        return blob(camera, scene) + jnp.abs(x - self.x) + self.steep * (x - stop_gradient(x))
+
+
+def kinked(x, steep=0.0):
+    return pj.check_gradients(camera(), SCENE, Kinked(*jnp.array([x, steep])), verbose=False)
+
+
 def test_camera_at_a_kink_is_undecided():
     """The derivative lies between the slopes to either side, which says little: no pass."""
-    bent = lambda camera, scene: blob(camera, scene) + jnp.abs(camera.e[0] - 0.3)
-    found = pj.check_gradients(camera(), SCENE, bent, verbose=False)
+    found = kinked(0.3)
     assert failures(found) == {"e.x": "undecided"}
     assert found.rows[0].kinks == W * H
     assert not found.passed
     assert str(found).startswith("UNDECIDED: at a kink in e.x; move the camera a little\n")
-    steep = lambda camera, scene: (
-        bent(camera, scene) + 2 * (camera.e[0] - jax.lax.stop_gradient(camera.e[0]))
-    )
-    found = pj.check_gradients(camera(), SCENE, steep, verbose=False)
-    assert failures(found) == {"e.x": "wrong derivative"}
+    assert failures(kinked(0.3, 2.0)) == {"e.x": "wrong derivative"}
+
+
+@pytest.mark.parametrize("steps", [0.9, 0.6, 0.3, -0.2])
+def test_kink_beside_the_camera_is_no_fault(steps):
+    """A smaller step does not meet it, and the slope at the camera itself is found."""
+    step = kinked(9.0).rows[0].step
+    found = kinked(0.3 + steps * step)
+    assert found.passed, found
+    assert found.rows[0].kinks == 0
+    assert failures(kinked(0.3 + steps * step, 0.01)) == {"e.x": "wrong derivative"}
 
 
 def test_certificate_prints_as_a_table():
-    image = lambda camera, scene: blob(jax.lax.stop_gradient(camera), scene)
+    image = lambda camera, scene: blob(stop_gradient(camera), scene)
     lines = str(pj.check_gradients(camera(), SCENE, image, directions=1, verbose=False)).split("\n")
     assert lines[0].startswith("FAILED: 9 of 13 derivatives (e.x, e.y, e.z, p.x,")
     assert lines[1].split() == [*pj.Certificate.__annotations__["rows"].__args__[0]._fields]

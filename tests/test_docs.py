@@ -27,6 +27,7 @@ import pytest
 import trimesh
 from chosen import full, long
 from PIL import Image
+from results import degrees
 
 import pinhole_jax as pj
 from pinhole_jax import __main__ as command, io, shapes
@@ -199,10 +200,10 @@ def test_python_runs(page, capsys, another_cache, tmp_path, monkeypatch):
 
 
 def check_fits(names, fits, most):
-    """Assert that these have converged, to at most so many degrees off."""
+    """Assert that these have converged, at most this many degrees off."""
     for name in fits:
         assert names[name].status == "converged"
-        assert np.rad2deg(pj.pose_error(names[name].camera, names["truth"])[0]) < most
+        assert degrees(names[name], names["truth"]) < most
 
 
 def found_by_readme(names, printed):
@@ -224,7 +225,7 @@ def found_by_many_views(names, printed):
 
 def found_by_masks(names, printed):
     check_fits(names, ["fit"], 1.5)
-    assert np.rad2deg(pj.pose_error(names["bent"].camera, names["truth"])[0]) < 3
+    assert degrees(names["bent"], names["truth"]) < 3
 
 
 def found_by_sam_masks(names, printed):
@@ -232,7 +233,7 @@ def found_by_sam_masks(names, printed):
     assert float(errors[0]) < 0.5 < float(errors[1])
     best = max(names["fits"], key=lambda fit: fit.iou)
     assert best is names["fits"][1]
-    assert np.rad2deg(pj.pose_error(names["fit"].camera, names["truth"])[0]) < 1
+    assert degrees(names["fit"], names["truth"]) < 1
     assert len(names["tidied"].notes) == 2
 
 

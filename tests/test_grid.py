@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from chosen import long
 from numpy.testing import assert_allclose
 from oracles import mesh_coverage
 
@@ -150,11 +149,9 @@ def on_one_line(random):
     return corners.reshape(-1, 3) / 16, np.arange(15).reshape(-1, 3)
 
 
-@pytest.mark.parametrize("by", ["library", long("arrays")])
-def test_edges_on_one_line_through_pixels_corners(by, exhaustive, request):
+@pytest.mark.usefixtures("both_ways")
+def test_edges_on_one_line_through_pixels_corners(exhaustive):
     """Where rounding lets one edge, and not the other, come into a pixel beside its corner."""
-    if by == "arrays":
-        request.getfixturevalue("in_arrays")
     for seed in range(10 * MANY if exhaustive else 2 * SOME):
         vertices, faces = on_one_line(np.random.default_rng(seed))
         expected = mesh_coverage(camera(seed % 4), vertices, faces)

@@ -9,6 +9,7 @@ import pytest
 import trimesh
 from chosen import first, full
 from oracles import drawn, turned, usual_camera
+from results import degrees
 from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
@@ -27,10 +28,6 @@ def scene():
 def anywhere(seed: int) -> pj.Camera:
     axes = Rotation.random(random_state=seed).as_matrix()
     return pj.Camera(-5 * axes[2], np.zeros(3), axes[1], 0.6, 1.0, 96, 80)
-
-
-def degrees(fit, truth):
-    return np.rad2deg(float(pj.pose_error(fit.camera, truth)[0]))
 
 
 def behind_a_wall(truth, scene, share: float) -> tuple[np.ndarray, float]:

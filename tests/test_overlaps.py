@@ -192,12 +192,10 @@ def test_room_with_one_wall_missing_around_the_eye(offset):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("by", ["library", "arrays"])
+@pytest.mark.usefixtures("both_ways")
 @pytest.mark.parametrize("size", [(2, 2), (4, 3)])
-def test_pixel_that_holds_everything_is_resolved(by, size, request):
+def test_pixel_that_holds_everything_is_resolved(size):
     """Hundreds of pieces: arrays cut it until few are left."""
-    if by == "arrays":
-        request.getfixturevalue("in_arrays")
     vertices, faces = soup(60)
     camera = pj.Camera([0, 0, 30], [0, 0, 0], [0, 1, 0], 0.3, 1.0, *size)
     image = pj.silhouette(camera, pj.Scene(mesh=pj.Mesh(vertices, faces)))
@@ -225,11 +223,9 @@ def test_no_pixel_of_a_rough_mesh_is_wrong_in_float32():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("by", ["library", "arrays"])
-def test_many_copies_of_a_face_are_one(by, request):
+@pytest.mark.usefixtures("both_ways")
+def test_many_copies_of_a_face_are_one():
     """More pieces than arrays list at once."""
-    if by == "arrays":
-        request.getfixturevalue("in_arrays")
     corners = np.array([[-1.0, -0.7, 0], [0.9, -0.5, 0.1], [0.1, 0.8, -0.2]])
     camera = pj.Camera([0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, W=W, H=H)
     vertices, faces = np.tile(corners, (3000, 1)), np.arange(9000).reshape(-1, 3)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 from oracles import drawn, turned
+from results import degrees
 from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
@@ -29,10 +30,6 @@ def anywhere(seed: int, W: int = 96, H: int = 80) -> pj.Camera:
     axes = Rotation.random(random_state=seed).as_matrix()
     e = -5 * axes[2] + random.uniform(-0.4, 0.4, 2) @ axes[:2]
     return pj.Camera(e, e + 5 * axes[2], axes[1], 0.6, 1.0, W, H)
-
-
-def degrees(fit, truth):
-    return np.rad2deg(float(pj.pose_error(fit.camera, truth)[0]))
 
 
 @pytest.mark.parametrize("closed", [True, False])

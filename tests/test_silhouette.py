@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
-from chosen import first, long
+from chosen import first
 from numpy.testing import assert_allclose, assert_array_equal
 from oracles import area_per_pixel, mesh_coverage, random_camera
 
@@ -54,11 +54,9 @@ POLYGONS = {
 }
 
 
-@pytest.mark.parametrize("by", ["library", long("arrays")])
-def test_polygons_have_their_exact_area_in_each_pixel(by, request):
+@pytest.mark.usefixtures("both_ways")
+def test_polygons_have_their_exact_area_in_each_pixel():
     """Sheets in the plane in which a pixel is a unit wide."""
-    if by == "arrays":
-        request.getfixturevalue("in_arrays")
     w, h = 7, 5
     camera = pj.Camera(
         [w / 2, h / 2, 4], [w / 2, h / 2, 0], [0, 1, 0], 2 * np.arctan(h / 8), W=w, H=h

@@ -126,19 +126,6 @@ def test_guess_follows_the_strokes_alone_where_they_say_all():
     assert np.all(strokes.guess_mask(photo, [Stroke("object", 50.0, ((15, 10),))]) == 255)
 
 
-def test_paint_goes_on_top_and_a_loaded_mask_replaces():
-    loaded, guess = LoadedMask(np.full((20, 30), 255, np.uint8)), np.zeros((20, 30), np.uint8)
-    guide, add, erase = (Stroke(kind, 3.0, ((10, 10),)) for kind in ("object", "add", "erase"))
-    assert strokes.guides_of((guide, loaded)) == ()
-    assert strokes.guides_of((loaded, guide, add)) == (guide,)
-    assert strokes.mask_of((), None, 30, 20) is None
-    added = strokes.mask_of((add,), None, 30, 20)
-    erased = strokes.mask_of((loaded, erase), None, 30, 20)
-    assert (added[10, 10], added[0, 0], erased[10, 10], erased[0, 0]) == (255, 0, 0, 255)
-    assert np.all(loaded.mask == 255)  # as it was
-    assert strokes.mask_of((loaded, guide), guess, 30, 20) is guess
-
-
 # A hand on the camera.
 
 CENTRE = np.array([0.2, -0.1, 0.3])
@@ -409,6 +396,9 @@ def test_strokes_are_undone_and_redone(bench):
     assert not do(bench, "stroke", kind="add", **at)["can_redo"]
     assert do(bench, "clear")["png"] is None
     assert do(bench, "undo")["share"] > 0
+    do(bench, "load_mask", data=png(np.full((H, W), 255, np.uint8)))
+    assert 0 < do(bench, "stroke", kind="erase", **at)["share"] < 1  # on top of it
+    assert do(bench, "undo")["share"] == 1
 
 
 def test_view_guides_the_guess(bench, mask, monkeypatch):
