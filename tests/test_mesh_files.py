@@ -106,13 +106,17 @@ def put(tmp_path, name, data):
     return tmp_path / name
 
 
+def mesh_of(tmp_path, name, data):
+    return pj.load_mesh(put(tmp_path, name, data))
+
+
 def triangles_of(mesh):
     return np.asarray(mesh.vertices)[np.asarray(mesh.faces)]
 
 
 @pytest.mark.parametrize("name", FILES)
 def test_polygons_of_every_format_cover_what_they_cover(tmp_path, name):
-    found = triangles_of(pj.load_mesh(put(tmp_path, name, FILES[name])))
+    found = triangles_of(mesh_of(tmp_path, name, FILES[name]))
     assert len(found) == sum(COUNTS) - 2 * len(COUNTS)
     assert_array_equal(found[..., 2], 0.5)
     owner = ((found[..., 0].mean(axis=1) + 3) // 10).astype(int)
@@ -144,7 +148,7 @@ end_header
 
 
 def test_strips_of_a_ply_file(tmp_path):
-    found = pj.load_mesh(put(tmp_path, "s.ply", STRIPS))
+    found = mesh_of(tmp_path, "s.ply", STRIPS)
     a, b, c = np.moveaxis(triangles_of(found), 1, 0)
     assert len(a) == 3
     assert_allclose(np.sort(np.cross(b - a, c - a)[:, 2]), [1, 1, 4])
@@ -197,11 +201,11 @@ OTHERS = {
 def test_unsupported_features_are_refused_by_name(tmp_path, name):
     data, message = OTHERS[name]
     with refusal(f"`path`: expected .*{message}"):
-        pj.load_mesh(put(tmp_path, name, data))
+        mesh_of(tmp_path, name, data)
 
 
 def test_stl_text_has_any_names_normals_and_line_ends(tmp_path, caplog):
-    plain = triangles_of(pj.load_mesh(put(tmp_path, "a.stl", STL)))
+    plain = triangles_of(mesh_of(tmp_path, "a.stl", STL))
     for text in (
         STL.upper(),
         STL.replace(b"\n", b"\r"),
@@ -210,7 +214,7 @@ def test_stl_text_has_any_names_normals_and_line_ends(tmp_path, caplog):
         *(STL.replace(b"0 0 1\n", n) for n in (b"-1.#IND 0 0\n", b"0,0 0,0 1,0\n", b"x y z\n")),
     ):
         assert text != STL
-        mesh = pj.load_mesh(put(tmp_path, "b.stl", text))
+        mesh = mesh_of(tmp_path, "b.stl", text)
         assert_array_equal(triangles_of(mesh), plain)
     assert not caplog.records
 
@@ -223,12 +227,12 @@ SPARE = b"v 9 9 9\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 5 5 5\nf 2 3 4\n"
 )
 def test_byte_order_marks_change_nothing(tmp_path, name):
     data = {**FILES, "spare.obj": SPARE, "a.stl": STL}[name]
-    plain = triangles_of(pj.load_mesh(put(tmp_path, name, data)))
-    marked = triangles_of(pj.load_mesh(put(tmp_path, name, b"\xef\xbb\xbf" + data)))
+    plain = triangles_of(mesh_of(tmp_path, name, data))
+    marked = triangles_of(mesh_of(tmp_path, name, b"\xef\xbb\xbf" + data))
     assert_array_equal(marked, plain)
     for coding in ("utf-16", "utf-16-le", "utf-16-be") if data.isascii() else ():
         with refusal("UTF-16"):
-            pj.load_mesh(put(tmp_path, name, data.decode().encode(coding)))
+            mesh_of(tmp_path, name, data.decode().encode(coding))
 
 
 WORDS = ["1.#QNAN", "-1.#IND00", "1.#INF", "1#INF", "-nan(ind)", "nan", "inf"]
@@ -247,12 +251,12 @@ def test_numbers_that_windows_writes_are_never_one(tmp_path, word, ending):
         "vertex 0 1 0\nendloop\nendfacet\nendsolid\n",
     }
     text = texts[ending]
-    assert len(pj.load_mesh(put(tmp_path, f"a.{ending}", text.format(1).encode())).faces) == 1
+    assert len(mesh_of(tmp_path, f"a.{ending}", text.format(1).encode()).faces) == 1
     with refusal("`path`: expected"):
-        pj.load_mesh(put(tmp_path, f"b.{ending}", text.format(word).encode()))
+        mesh_of(tmp_path, f"b.{ending}", text.format(word).encode())
     if ending == "obj":
         unread = f"vt {word} {word}\nvn {word} 0 1\n".encode() + obj("{}/1/1")
-        mesh, plain = (pj.load_mesh(put(tmp_path, "c.obj", x)) for x in (unread, obj()))
+        mesh, plain = (mesh_of(tmp_path, "c.obj", x) for x in (unread, obj()))
         assert_array_equal(triangles_of(mesh), triangles_of(plain))
 
 
@@ -320,7 +324,7 @@ class File:
 
     def load(self, tmp_path, binary=False, **more):
         name = "a.glb" if binary else "a.gltf"
-        return pj.load_mesh(put(tmp_path, name, self.bytes(binary=binary, **more)))
+        return mesh_of(tmp_path, name, self.bytes(binary=binary, **more))
 
 
 def square(**more):
@@ -565,7 +569,7 @@ def test_small_files_that_stand_for_much_are_refused_in_seconds(tmp_path, make, 
     data = make().bytes()
     start = time.process_time()
     with refusal(message):
-        pj.load_mesh(put(tmp_path, "a.gltf", data))
+        mesh_of(tmp_path, "a.gltf", data)
     assert time.process_time() - start < 20
 
 
@@ -573,4 +577,4 @@ def test_small_files_that_stand_for_much_are_refused_in_seconds(tmp_path, make, 
 def test_truncated_glb_is_refused(tmp_path, cut):
     f = square()
     with refusal("`path`: expected a readable mesh"):
-        pj.load_mesh(put(tmp_path, "a.glb", f.bytes(binary=True)[:cut]))
+        mesh_of(tmp_path, "a.glb", f.bytes(binary=True)[:cut])

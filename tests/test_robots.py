@@ -31,6 +31,10 @@ def write_urdf(folder, body, name="a.urdf"):
     return folder / name
 
 
+def robot_of(folder, body, **more):
+    return pj.robots.load_urdf(write_urdf(folder, body), **more)
+
+
 def link(name, shape):
     return f'<link name="{name}"><visual><geometry>{shape}</geometry></visual></link>'
 
@@ -64,8 +68,8 @@ def workspace(tmp_path):
 @pytest.mark.parametrize("kind", ["package", "model"])
 def test_meshes_of_two_packages_are_each_package_s_own(workspace, kind):
     for name, size in (("arm", 1), ("hand", 3)):
-        file = write_urdf(workspace / "src/arm/urdf", mesh(f"{kind}://{name}/meshes/base.stl"))
-        assert size_of(pj.robots.load_urdf(file)) == size
+        body = mesh(f"{kind}://{name}/meshes/base.stl")
+        assert size_of(robot_of(workspace / "src/arm/urdf", body)) == size
 
 
 def test_package_manifests_name_packages(workspace):
@@ -88,9 +92,9 @@ def test_folders_of_packages_may_be_given(workspace, monkeypatch):
     found = pj.robots.load_urdf(file, packages={"hand": workspace / "elsewhere"})
     assert size_of(found) == 3
     words = rf"link 'part'.*'meshes/x.stl' of the package 'hand'.*looked in: {workspace}/src/arm\)"
-    other = write_urdf(workspace, mesh(HAND.replace("base", "x")))
+    other = mesh(HAND.replace("base", "x"))
     with pytest.raises(FileNotFoundError, match=words):
-        pj.robots.load_urdf(other, packages={"hand": workspace / "src/arm"})
+        robot_of(workspace, other, packages={"hand": workspace / "src/arm"})
     (workspace / "elsewhere").rename(workspace / "hand_2")
     monkeypatch.setenv("ROS_PACKAGE_PATH", f"/none:{workspace / 'ros'}")
     (workspace / "ros").mkdir()
@@ -103,13 +107,12 @@ def test_files_of_other_packages_and_of_the_working_folder_are_not_taken(workspa
     write_stl(workspace / "src/meshes/base.stl", 9)
     write_stl(workspace / "src/other/meshes/base.stl", 9)
     for name in (HAND.replace("hand", "foot"), "package://foot/base.stl", "meshes/base.stl"):
-        file = write_urdf(workspace / "robots/urdf", mesh(name))
         with pytest.raises(FileNotFoundError, match=r"link 'part'.*base.stl"):
-            pj.robots.load_urdf(file)
+            robot_of(workspace / "robots/urdf", mesh(name))
     with pytest.raises(FileNotFoundError, match=r"give `packages=\{'foot': FOLDER\}`"):
-        pj.robots.load_urdf(write_urdf(workspace, mesh("package://foot/base.stl")))
+        robot_of(workspace, mesh("package://foot/base.stl"))
     with refusal("expected a path, file:// or package://, got 'http://"):
-        pj.robots.load_urdf(write_urdf(workspace, mesh("http://foot/base.stl")))
+        robot_of(workspace, mesh("http://foot/base.stl"))
 
 
 def test_mesh_names_are_paths_or_uris_of_files(tmp_path):
@@ -117,14 +120,14 @@ def test_mesh_names_are_paths_or_uris_of_files(tmp_path):
     folder = tmp_path / "urdf"
     uri = (tmp_path / "my meshes/base.stl").as_uri()
     for name in ("../my meshes/base.stl", "..\\my meshes\\base.stl", uri, uri[len("file://") :]):
-        file = write_urdf(folder, mesh(name.replace("%20", " ") if "://" not in name else name))
-        assert size_of(pj.robots.load_urdf(file)) == 2
+        own = name if "://" in name else name.replace("%20", " ")
+        assert size_of(robot_of(folder, mesh(own))) == 2
 
 
 def test_mirroring_scales_turn_faces_outwards(tmp_path):
     write_stl(tmp_path / "a.stl", 1)
     for scale, low in (("1 1 1", 0), ("-2 1 1", -2), ("0.5", 0)):
-        robot = pj.robots.load_urdf(write_urdf(tmp_path, mesh("a.stl", f'scale="{scale}"')))
+        robot = robot_of(tmp_path, mesh("a.stl", f'scale="{scale}"'))
         assert extent(robot)[0] == low
         corners = np.asarray(robot.scene(()).mesh.vertices)[np.asarray(robot.scene(()).mesh.faces)]
         assert np.sum(np.linalg.det(corners)) > 0
@@ -185,7 +188,7 @@ def test_collada_is_read_though_its_reader_uses_what_is_deprecated(tmp_path, mon
 )  # fmt: skip
 def test_collada_units_count_once(tmp_path, up, unit, node, scale, expected):
     (tmp_path / "a.dae").write_text(collada(unit, node, up))
-    robot = pj.robots.load_urdf(write_urdf(tmp_path, mesh("a.dae", scale)))
+    robot = robot_of(tmp_path, mesh("a.dae", scale))
     assert np.allclose(extent(robot), expected, atol=1e-5)
 
 
@@ -280,7 +283,7 @@ DOUBLE = joint("j2", "b", "c", mimic("j1", 'multiplier="2" offset="0.5"'))
     ],
 )  # fmt: skip
 def test_joints_that_follow_others_and_long_axes(tmp_path, joints, expected):
-    robot = pj.robots.load_urdf(write_urdf(tmp_path, chain(*joints)))
+    robot = robot_of(tmp_path, chain(*joints))
     assert robot.joints == ("j1",)
     assert np.allclose(robot.poses([0.3])["d"][:2, 3], expected)
 
@@ -356,7 +359,7 @@ REFUSED = {
 @pytest.mark.parametrize("words", REFUSED)
 def test_robots_that_are_not_read_are_refused_with_the_reason(tmp_path, words):
     with refusal(rf"`path`: expected a URDF file, .*a.urdf.*{words}"):
-        pj.robots.load_urdf(write_urdf(tmp_path, REFUSED[words]))
+        robot_of(tmp_path, REFUSED[words])
 
 
 @pytest.mark.parametrize("text", ['<sdf version="1.6"><model name="a"/></sdf>', "", "<robot", "{}"])
@@ -371,13 +374,13 @@ def test_files_that_are_no_urdf_are_refused(tmp_path, text):
 def test_packages_that_are_no_mapping_to_folders_are_refused(tmp_path, packages):
     words = "`packages`: expected a mapping of package name to folder, got"
     with refusal(words):
-        pj.robots.load_urdf(write_urdf(tmp_path, link("a", BOX)), packages=packages)
+        robot_of(tmp_path, link("a", BOX), packages=packages)
 
 
 def test_links_left_out_may_have_any_shape(tmp_path):
     capsule = link("b", '<capsule radius="1" length="2"/>')
-    file = write_urdf(tmp_path, link("a", BOX) + capsule + joint("j", "a", "b"))
-    robot = pj.robots.load_urdf(file, leave_out=["b"])
+    body = link("a", BOX) + capsule + joint("j", "a", "b")
+    robot = robot_of(tmp_path, body, leave_out=["b"])
     assert (robot.links, robot.joints) == (("a",), ("j",))
 
 
@@ -411,7 +414,7 @@ def arm(tmp_path, monkeypatch):
     body += moving("turn", "revolute", "a", "b", '<limit lower="-2" upper="3" effort="x"/>')
     body += moving("slide", "prismatic", "b", "c", '<limit lower="0" upper="0.4"/>')
     body += moving("wheel", "continuous", "c", "d", '<limit effort="1" velocity="2"/>')
-    return pj.robots.load_urdf(write_urdf(tmp_path, body))
+    return robot_of(tmp_path, body)
 
 
 def test_limits_of_joints_are_the_files(arm):
