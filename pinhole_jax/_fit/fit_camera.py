@@ -33,7 +33,7 @@ from .edge import Edge
 from .implicit import camera_velocity, check_plain, through
 from .likelihood import Account
 from .occluders import from_all_sides, near_starts
-from .photo import check_photo, on_photo
+from .photo import COLOURS, check_photo, on_photo
 from .places import Free, interval, mirrored, settled, transported
 from .refine import Candidate, Refiner, likeliest
 from .result import Context, Fit, Progress, progress_at, report, with_modes, with_unbelieved
@@ -326,17 +326,18 @@ def _fit_of(
         context = Context(kind, settings.bounds, about, mode.errors, astray=astray, hidden=hidden)
         return report(mask.camera, mode.found, mode.over_all, freed, context)
 
-    said = None if photo is None else on_photo(solver, mask, photo, best.found)
-    known = free
-    if said is None or said.found is None or len(modes) > 1:
+    known, said, note = free, None, None
+    if photo is not None:
+        said, note = on_photo(solver, mask, photo, best.found)
+    if said is None or len(modes) > 1:
         drawn = turns_freely(freed) and is_drawn(best.errors)
         known = [*free, *interval(near, best.found, best.errors)] if drawn else free
     fit, *others = (reported(mode, solver.kind, known) for mode in modes)
     if said is not None:
-        if said.found is not None:
-            open_still = [*(f for f in free if np.isinf(f.ahead)), *said.free]
-            fit = reported(_Mode(said.found, said.sums, said.errors), said.kind, open_still)
-        fit = fit._replace(weak=(*fit.weak, said.note))
+        open_still = [*(f for f in free if np.isinf(f.ahead)), *said.free]
+        fit = reported(_Mode(said.found, said.sums, said.errors), COLOURS, open_still)
+    if note is not None:
+        fit = fit._replace(weak=(*fit.weak, note))
     if edge is not None and best.account is not None:
         alone = from_anywhere and best.account.unbelieved(edge) > RULES.doubted
         fit = with_unbelieved(fit, *best.account.words(edge, mask.camera.H), alone)

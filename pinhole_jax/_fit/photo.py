@@ -1,14 +1,15 @@
-"""A camera refined on the photo: the mask is a first guess, the photo is exact.
+"""Cameras refined on their photos: a mask is a first guess, its photo is exact.
 
-Beside the outline of the camera that the mask gave, colours of the object and of its background
-are learned; the matte that they make is a soft mask with weights, which the same solver fits the
-exact coverage to. Then they are learned again, closer to the outline. The photo's camera is taken
-where its edge fits an outline of the scene better than the mask's edge does; where it does not,
-or colours tell too little, the mask's camera stays, and the fit says so.
+Beside the outline that a view's camera gives, colours of the object and of its background are
+learned; the matte that they make is a soft mask with weights, which the same solver fits the exact
+coverage to. Then they are learned again, closer to the outline. A photo decides where its edge fits
+an outline of the scene better than the mask's edge does; where it does not, or colours tell too
+little, the view keeps its mask, and the fit says so. Views of one problem are refined together.
 """
 
-from dataclasses import replace
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, Protocol, Self, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from .._mask.target import NOISE, Window, edge_distance
 from .._outline.outline_errors import OutlineErrors, is_drawn
 from .._outline.statistics import mask_errors
 from .._outline.stretches import coverage_of
-from .._solver.looks import Sums
+from .._solver.looks import Sums, View
 from .._solver.problem import FINE_PX
 from .._solver.solver import Solution, Solver, onward
 from .places import Free, interval
@@ -29,8 +30,9 @@ from .places import Free, interval
 ROUNDS = (Band(3.0, 14.0, 8.0), Band(2.0, 12.0, 5.0), Band(1.5, 10.0, 3.5))
 #: What is farther than this from any outline is not looked at.
 MARGIN_PX = 16
-#: The first round begins on a coarser level, some px being less there.
-COARSER = 2
+#: The first round begins on the level that is this many from the finest (1: that one itself), some
+#: px being less there.
+FIRST_DEPTH = 3
 #: Steps on a level, the last round's more: it is to come to rest.
 STEPS, LAST_STEPS = 8, 16
 #: A step that is negligible before the last round, in px.
@@ -44,6 +46,9 @@ TELLING = 0.25
 #: begin with 0.16 and end 4 to 10 times as exact as their masks; photos of something else: 0 to
 #: 0.17.)
 LEAST_RESOLVED = 0.1
+#: Beside a photo that tells as much as one alone has to, others tell of the camera where they do so
+#: along this share of the outline: of something else they would not fit the other's camera.
+LEAST_BESIDE = LEAST_RESOLVED / 2
 #: The mask's edge does not fit the scene if it is off by more than this many px (rms): one bit and
 #: the scene's own mask leave 0.09 to 0.14.
 MASK_PX = 0.2
@@ -62,17 +67,20 @@ NEAR_PX = 3.0
 COLOURS = Kind("photo", 0.0, np.inf, 0.0, False)
 
 
-class PhotoResult(NamedTuple):
-    """What a photo says: its camera and what is seen there, None where the mask's stays; sums over
-    the mask, the kind of mask that colours are, how their outline errs, how far that leaves a turn
-    open, and a note."""
+#: By the numbers of views: photos; weights and targets (H, W).
+Photos: TypeAlias = Mapping[int, np.ndarray]
+Images: TypeAlias = Mapping[int, tuple[np.ndarray, np.ndarray]]
+V = TypeVar("V", bound="PhotoViews")
 
-    found: Solution | None
+
+class PhotoResult(NamedTuple):
+    """A camera that a photo gives and what is seen there; sums over the mask, how the outline that
+    colours make errs, how far that leaves a turn open."""
+
+    found: Solution
     sums: Sums
-    kind: Kind
     errors: OutlineErrors | None
     free: list[Free]
-    note: str
 
 
 def check_photo(photo: Any, W: int, H: int) -> np.ndarray:
@@ -102,34 +110,95 @@ def check_photo(photo: Any, W: int, H: int) -> np.ndarray:
     return array
 
 
-def on_photo(solver: Solver, mask: Mask, photo: np.ndarray, found: Solution) -> PhotoResult:
-    """The camera that was found for a mask, refined on a photo."""
-    before = Outline.from_view(solver, solver.look(found.camera, solver.finest))
-    read = before.read(photo, mask, ROUNDS[0])
-    resolved = before.resolved(read)
-    if not resolved >= LEAST_RESOLVED:
-        return PhotoResult(None, found.view.sums, COLOURS, None, [], unresolved(resolved))
-
-    own, refined, now = solver.like(COLOURS), found, before
-    for number, band in enumerate(ROUNDS):
-        last = number == len(ROUNDS) - 1
-        if number:
-            read = now.read(photo, mask, band)
-        own = own.weighed(*whole(mask, now.window, read), only_finest=number > 0)
-        own = replace(own, max_steps=LAST_STEPS if last else STEPS)
-        coarsest = max(own.finest - COARSER, 0)
-        px = FINE_PX[own.dtype] if last else ROUGH_PX
-        after = own.solve(refined.camera, range(coarsest, own.finest + 1), fine_px=px)
-        refined, now = onward(refined, after), Outline.from_view(own, after.view)
-
-    taken, note = judged(mask, photo, before, now)
-    over_all = solver.look(refined.camera, solver.finest).sums
-    sums = over_all._replace(touched=refined.view.sums.touched)
-    if not taken:
-        return PhotoResult(None, sums, COLOURS, None, [], note)
+def on_photo(
+    solver: Solver, mask: Mask, photo: np.ndarray, found: Solution
+) -> tuple[PhotoResult | None, str]:
+    """The camera that was found for a mask, refined on a photo; None where the mask's stays. A note
+    on the photo."""
+    begin = found._replace(view=solver.look(found.camera, solver.finest))
+    views, px = _SingleView(solver, solver, begin), FINE_PX[solver.dtype]
+    there, trusted, notes = refine_on_photos(views, {0: mask}, {0: photo}, px)
+    if not trusted:
+        return None, notes[0]
+    own, refined = there.own, there.found
+    sums = solver.look(refined.camera, solver.finest).sums
     errors = mask_errors(own, refined.view)
     free = interval(own, refined, errors) if is_drawn(errors) else []
-    return PhotoResult(refined, sums, COLOURS, errors, free, note)
+    sums = sums._replace(touched=refined.view.sums.touched)
+    return PhotoResult(refined, sums, errors, free), notes[0]
+
+
+class PhotoViews(Protocol):
+    """Views that photos refine, and where their cameras are."""
+
+    def outline(self, k: int) -> "Outline":
+        """What a view shows, on the finest level."""
+        ...
+
+    def descended(self, images: Images, depths: Sequence[int], px: float, steps: int) -> Self:
+        """The views fitted to images, over levels that are numbered from the finest (1), with this
+        many steps on each at most; those of `px` are negligible on the finest."""
+        ...
+
+
+def refine_on_photos(
+    views: V,
+    masks: Mapping[int, Mask],
+    photos: Photos,
+    px: float,
+    tell: Callable[[str], None] = lambda line: None,
+) -> tuple[V, Photos, dict[int, str]]:
+    """The views where those photos lead that are better founded than their masks, these photos, and
+    a note on each of all. Steps of `px` are negligible at last."""
+    first = {k: views.outline(k) for k in photos}
+    shares = {
+        k: first[k].resolved(first[k].read(photo, masks[k], ROUNDS[0]))
+        for k, photo in photos.items()
+    }
+    together = len(photos) > 1 and max(shares.values()) >= LEAST_RESOLVED
+    least = LEAST_BESIDE if together else LEAST_RESOLVED
+    notes = {k: _unresolved(share) for k, share in shares.items() if not share >= least}
+    photos = {k: photo for k, photo in photos.items() if k not in notes}
+    while photos:
+        there, now = views, first
+        for number, band in enumerate(ROUNDS):
+            last = number == len(ROUNDS) - 1
+            images = {k: now[k].image(photo, masks[k], band) for k, photo in photos.items()}
+            depths = (1,) if number else range(FIRST_DEPTH, 0, -1)
+            ends = (px, LAST_STEPS) if last else (max(px, ROUGH_PX), STEPS)
+            there = there.descended(images, depths, *ends)
+            now = {k: there.outline(k) for k in photos}
+            tell(f"{len(photos)} photos: round {number + 1} of {len(ROUNDS)}")
+        wrong = {}
+        for k, photo in photos.items():
+            off, notes[k] = _judged(masks[k], photo, first[k], now[k], least)
+            wrong |= {} if off is None else {k: off}
+        if not wrong:
+            return there, photos, notes
+        # (Photos of something else pull at the others: these may be right without them.)
+        strange = sorted((k for k in wrong if wrong[k] >= STRANGE_PX), key=wrong.__getitem__)
+        out = strange[len(strange) // 2 :] or wrong
+        photos = {k: photo for k, photo in photos.items() if k not in out}
+    return views, photos, notes
+
+
+@dataclass(frozen=True, eq=False)
+class _SingleView:
+    """One view: the solver of its mask, of its colours, and the camera found."""
+
+    solver: Solver
+    own: Solver
+    found: Solution
+
+    def outline(self, k: int) -> "Outline":
+        return Outline.from_view(self.found.view)
+
+    def descended(self, images: Images, depths: Sequence[int], px: float, steps: int) -> Self:
+        colours = replace(self.solver.like(COLOURS), max_steps=steps)
+        own = colours.weighed(*images[0], only_finest=max(depths) == 1)
+        levels = range(max(own.finest + 1 - max(depths), 0), own.finest + 1)
+        after = own.solve(self.found.camera, levels, fine_px=px)
+        return replace(self, own=own, found=onward(self.found, after))
 
 
 class Outline(NamedTuple):
@@ -142,7 +211,7 @@ class Outline(NamedTuple):
     length: np.ndarray
 
     @classmethod
-    def from_view(cls, solver: Solver, view: Any) -> "Outline":
+    def from_view(cls, view: View) -> "Outline":
         """Return it from a view on the finest level."""
         seen, coverage = view.level.window(), coverage_of(view)[::-1]
         window = _about(np.abs(coverage - 0.5) < 0.5, seen)
@@ -157,6 +226,15 @@ class Outline(NamedTuple):
         weight = self.window.crop(mask.weight)
         read = matte(light(self.window.crop(photo)), self.distance, band, weight > 0)
         return read._replace(weight=np.where(weight > 0, read.weight, 0))
+
+    def image(self, photo: np.ndarray, mask: Mask, band: Band) -> tuple[np.ndarray, np.ndarray]:
+        """Weights and target (H, W): the photo's matte, and a little of the mask."""
+        weight, target = np.zeros(mask.target.shape), mask.image + 0.0
+        read, part = self.read(photo, mask, band), self.window.crop(target)
+        total = read.weight + OF_MASK
+        part[:] = (read.weight * read.share + OF_MASK * part) / total
+        self.window.crop(weight)[:] = total * self.window.crop(mask.weight)
+        return weight, target
 
     def resolved(self, read: Matte) -> float:
         """The share of the outline that colours show."""
@@ -202,42 +280,31 @@ def _part(window: Window, seen: Window) -> tuple[slice, slice]:
     return slice(top, top + window.H), slice(left, left + window.W)
 
 
-def whole(mask: Mask, window: Window, read: Matte) -> tuple[np.ndarray, np.ndarray]:
-    """Weights and target (H, W): the matte's, and a little of the mask's."""
-    weight, target = np.zeros(mask.target.shape), mask.image + 0.0
-    total = read.weight + OF_MASK
-    both = read.weight * read.share + OF_MASK * window.crop(target)
-    window.crop(target)[:] = both / total
-    window.crop(weight)[:] = total * window.crop(mask.weight)
-    return weight, target
-
-
-def judged(
-    mask: Mask, photo: np.ndarray, before: Outline, now: Outline, least: float = LEAST_RESOLVED
-) -> tuple[bool, str]:
-    """Whether the photo's camera is better founded than the mask's, and a note; colours are
-    to tell along the share `least` of the outline."""
+def _judged(
+    mask: Mask, photo: np.ndarray, before: Outline, now: Outline, least: float
+) -> tuple[float | None, str]:
+    """The distance of the photo's edge from the outline (px) where the mask is better founded, else
+    None; and a note. Colours are to show a share `least` of the outline."""
     read, first = (x.read(photo, mask, ROUNDS[-1]) for x in (now, before))
-    resolved = now.resolved(read)
+    own, resolved = now.off(read), now.resolved(read)
     if not resolved >= least:
-        return False, unresolved(resolved)
+        return own, _unresolved(resolved)
     bias, apart = now.of_mask(mask)
-    _, of_mask = before.of_mask(mask)
-    own, at_first = now.off(read), before.off(first)
+    of_mask, at_first = before.of_mask(mask)[1], before.off(first)
     better = of_mask > MASK_PX and own < of_mask
     if own < STRANGE_PX and (better or at_first > SURE * max(own, PHOTO_PX)):
         size = "large" if bias > 0 else "small"
-        return True, (
+        return None, (
             f"fitted to the photo: its edge lies within {own:.2f} px (rms) of the outline; the mask"
             f" is {apart:.2f} px off, on average {abs(bias):.2f} px too {size}"
         )
-    return False, (
+    return own, (
         f"fitted to the mask: its edge lies within {of_mask:.2f} px (rms) of the outline; the"
         f" photo's is {at_first:.2f} px off, at best {own:.2f} px, which is no better"
     )
 
 
-def unresolved(resolved: float) -> str:
+def _unresolved(resolved: float) -> str:
     return (
         f"fitted to the mask: the photo shows the object's edge along only {resolved:.0%} of the"
         " outline"

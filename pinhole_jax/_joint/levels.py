@@ -12,7 +12,7 @@ from .._solver.least_squares import Descent
 from .._solver.looks import Sums
 from .._solver.problem import COARSE_PX, FINE_PX
 from .agreement import Agreement, agree, weigh_priors
-from .photos import refine_on_photos
+from .photos import agreement_on_photos
 from .system import JointProblem, LevelEnd
 from .views import State
 
@@ -114,7 +114,7 @@ def finish(problem: JointProblem, path: Path, tell: Tell, photos: bool = False) 
     if not photos:
         return Outcome(problem, path, by_masks, whole, astray, ())
 
-    found, way, notes = refine_on_photos(by_masks, px, tell)
+    found, way, notes = agreement_on_photos(by_masks, px, tell)
     if found is not by_masks:
         whole = [eye.look(found.descent.state).sums for eye in eyes]
     path = path._replace(way=(*path.way, *way))
