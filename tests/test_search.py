@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
+from pinhole_jax._camera.axes import sphere_points
 from pinhole_jax._mask import search
 from pinhole_jax._mask.mask import Mask
-from pinhole_jax._mask.search import sphere_points
 from pinhole_jax._mask.signatures import ANGLES
 from pinhole_jax._mask.thumbnails import axes_inward, thumbnails
 from pinhole_jax._rules import RULES

@@ -25,3 +25,12 @@ def angle(a: Camera, b: Camera) -> float:
     """Return the angle between two cameras' orientations (rad)."""
     chord = np.linalg.norm(axes_of(a) - axes_of(b)) / 8**0.5
     return float(2 * np.arcsin(min(chord, 1)))
+
+
+def sphere_points(number: int) -> np.ndarray:
+    """Unit vectors (number, 3), spread evenly over the sphere (Fibonacci's spiral)."""
+    k = np.arange(number) + 0.5
+    z = 1 - 2 * k / number
+    angle = np.pi * (1 + 5**0.5) * k
+    r = np.sqrt(1 - z * z)
+    return np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=-1)

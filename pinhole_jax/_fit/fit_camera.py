@@ -34,7 +34,7 @@ from .implicit import camera_velocity, check_plain, through
 from .likelihood import Account
 from .occluders import from_all_sides, near_starts
 from .photo import COLOURS, check_photo, on_photo
-from .places import Free, interval, mirrored, settled, transported
+from .places import Free, interval, settled, transported
 from .refine import Candidate, Refiner, likeliest
 from .result import Context, Fit, Progress, progress_at, report, with_modes, with_unbelieved
 from .strategy import everywhere, free_about, from_start, to_the_end, turns_freely
@@ -285,7 +285,7 @@ def behind_something(refiner: Refiner, plain: Candidate, start: Camera | None) -
         found += refiner.candidates(map(look, proposed()), best=best.log)
         before, best = best, max([best, *found], key=lambda c: c.log)
         if best is not before:
-            twins = mirrored(solver, best.found)
+            twins = solver.subject.alike.views(best.found.camera)
             found += refiner.candidates(map(look, twins), best=best.log)
         if start is not None and best.is_explained():
             break

@@ -1,4 +1,4 @@
-"""Where else the camera may be: along turns and shifts that hardly show, and at mirrored views.
+"""Where else the camera may be: along turns and shifts that hardly show.
 
 A derivative speaks for the neighbourhood of one camera. Facets of a round body give a turn that
 the mask hardly shows sharp minima, one beside the other; symmetric bodies look alike from several
@@ -9,24 +9,19 @@ such a minimum, descends again at each, and asks whether the mask's own noise fo
 from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import numpy as np
 
 from .._camera.axes import angle, axes_of
 from .._camera.camera import Camera
-from .._mask.search import sphere_points
 from .._outline.outline_errors import OutlineErrors, is_drawn
 from .._outline.statistics import mask_errors, residual_variance
 from .._rules import RULES
+from .._scene.alike import Revolution, rotated
 from .._solver.looks import View
 from .._solver.parameters import components
 from .._solver.problem import SETTLED
-from .._solver.revolution import Revolution
 from .._solver.solver import Solution, Solver
 from .._solver.uncertainty import in_words, weak_moves
-
-#: The directions in which that is looked at.
-DIRECTIONS = sphere_points(64)
 
 
 class Free(NamedTuple):
@@ -120,7 +115,7 @@ def _worth_a_walk(solver: Solver, best: Solution) -> list[_Direction]:
     round_about = _round(solver, best)
     other = _nearly_free(solver, best) or _doubtful(solver, best)
     if len(round_about) == 1:
-        axis = solver.subject.revolutions[0].axis
+        axis = solver.subject.alike.lines[0].axis
         other = [d for d in other if d.axis is None or abs(d.axis @ axis) < np.cos(2 * RULES.apart)]
     elif any(d.axis is not None for d in other):
         return other
@@ -247,7 +242,7 @@ def _round(solver: Solver, found: Solution) -> list[_Direction]:
     if not np.all(np.isfinite(triangle)):
         return []
     deviations = np.linalg.pinv(triangle).T
-    for line in solver.subject.revolutions:
+    for line in solver.subject.alike.lines:
         move = np.zeros(len(parts))
         move[turns] = axes_of(found.camera) @ line.axis
         value = 1 / max(float(np.linalg.norm(deviations @ move)), 1e-300)
@@ -306,7 +301,7 @@ def _around(solver: Solver, best: Solution, line: Revolution) -> list[Solution]:
     cameras = [best.camera]
     for turn in 2 * np.pi * np.arange(1, count) / count:
         rotation = _rotation(turn * line.axis)
-        cameras.append(_rotated(best.camera, rotation, line.centre - rotation @ line.centre))
+        cameras.append(rotated(best.camera, rotation, line.centre - rotation @ line.centre))
     surplus = _glances(solver, cameras, _walked_on(solver))
     lower = (surplus <= np.roll(surplus, 1)) & (surplus <= np.roll(surplus, -1))
     lower[0] = False
@@ -348,7 +343,7 @@ def _walked_on(solver: Solver) -> int:
 
 def _alike(solver: Solver, best: Solution) -> list[Solution]:
     """The ends of descents from the likeliest cameras that see the facets alike."""
-    cameras = [_rotated(best.camera, *turn) for turn in solver.subject.turns]
+    cameras = [rotated(best.camera, *turn) for turn in solver.subject.alike.turns]
     surplus = _glances(solver, cameras, solver.finest)
     nearest = [cameras[k] for k in np.argsort(surplus)[: RULES.tried] if np.isfinite(surplus[k])]
     return _finite(_descended(solver, nearest))
@@ -462,42 +457,3 @@ def turned_by(a: Camera, b: Camera) -> np.ndarray:
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_matrix(axes_of(b).T @ axes_of(a)).as_rotvec()
-
-
-def mirrored(solver: Solver, found: Solution) -> Iterator[Camera]:
-    """Yield views that an object shows alike: one that is near its own mirror image, in its
-    principal axes, half turns about these, and turned so that near and far change places, which
-    changes a silhouette only by perspective; turns that bring its faces to one another."""
-    centre = np.asarray(solver.subject.ball.centre, float)
-    points = solver.subject.points - centre
-    if not len(points):
-        return
-    _, principal = np.linalg.eigh(points.T @ points)
-    reach = np.max(points @ DIRECTIONS.T, axis=0)
-    axes = axes_of(found.camera)
-    seen: list[np.ndarray] = []
-    for signs in np.array(np.meshgrid(*[[1, -1]] * 3)).reshape(3, 8).T[1:]:
-        image = principal @ (signs[:, None] * principal.T)
-        off = np.max(np.abs(np.max(points @ (DIRECTIONS @ image).T, axis=0) - reach))
-        if off > RULES.mirrored * np.max(reach):
-            continue
-        turned = axes @ image
-        if np.prod(signs) < 0:
-            turned[2] = -turned[2]
-        rotation = turned.T @ axes
-        seen.append(rotation)
-        yield _rotated(found.camera, rotation, centre - rotation @ centre)
-    if solver.subject.revolutions:
-        return  # turns about these are walked
-    for rotation, shift in solver.subject.turns[: RULES.turns]:
-        if all(np.linalg.norm(rotation - other) > RULES.same for other in seen):
-            yield _rotated(found.camera, rotation, shift)
-
-
-def _rotated(camera: Camera, rotation: np.ndarray, shift: np.ndarray) -> Camera:
-    """Return a camera that x -> rotation x + shift brings with it."""
-    e, p, u = (np.asarray(x, float) for x in (camera.e, camera.p, camera.u))
-    eye = rotation @ e + shift
-    dtype = np.asarray(camera.e).dtype
-    pose: Any = [x.astype(dtype) for x in (eye, eye + rotation @ (p - e), rotation @ u)]
-    return eqx.tree_at(lambda c: [c.e, c.p, c.u], camera, pose)

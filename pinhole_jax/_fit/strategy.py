@@ -23,7 +23,6 @@ from .places import (
     Places,
     better,
     equal_views,
-    mirrored,
     separation,
     settled,
     turned_by,
@@ -64,9 +63,10 @@ def looked_round(
     places, content = Places(found, [], []), is_explained(solver, found.view)
     nearly = misfit_above_noise(solver, found.view) <= RULES.exact * mask.usual_weight
     # (A start may be a tooth of a gear off.)
-    if content or nearly or solver.subject.revolutions:
+    if content or nearly or solver.subject.alike.lines:
         places = settled(solver, found, start)
-        alike = [c for c in mirrored(solver, places.best) if angle(c, start) < RULES.too_far]
+        views = solver.subject.alike.views(places.best.camera)
+        alike = [c for c in views if angle(c, start) < RULES.too_far]
         places = with_others(solver, places, finished(solver, alike))
         content = is_explained(solver, places.best.view)
     explained = solver.kind.exact and content
@@ -90,14 +90,15 @@ def _with_the_searched(
 
     # The search knew no start, which rules out what is as good only far from it.
     best = seen[0] if better(solver, seen[0].view, places.best.view) else places.best
-    alike = finished(solver, mirrored(solver, best))
+    alike = finished(solver, solver.subject.alike.views(best.camera))
     places = with_others(solver, places, not_copies([*seen, *alike], places.best), free=[])
 
     near = angle(places.best.camera, start) < RULES.too_far
     walked = settled(solver, places.best, start if near else None)
     more = [*places.others, *places.rivals]
     if walked.best is not places.best:
-        more += not_copies(finished(solver, mirrored(solver, walked.best)), walked.best)
+        alike = finished(solver, solver.subject.alike.views(walked.best.camera))
+        more += not_copies(alike, walked.best)
     return with_others(solver, walked, more, walked.free)
 
 
@@ -178,7 +179,7 @@ def looked_alike(solver: Solver, found: Solution, others: list[Solution]) -> Pla
     """Return the best of a camera, others, and what is as good as it along walks and at views that
     look alike."""
     places = settled(solver, found)
-    alike = finished(solver, mirrored(solver, places.best))
+    alike = finished(solver, solver.subject.alike.views(places.best.camera))
     return with_others(solver, places, [*others, *alike])
 
 

@@ -19,7 +19,6 @@ from .._fit.places import (
     Free,
     Places,
     better,
-    mirrored,
     separation,
 )
 from .._fit.refine import Refiner, likeliest
@@ -324,8 +323,8 @@ def _lookalikes(pose: LonePose, best: Path, tell: Tell) -> list[Path]:
     turned into itself."""
     problem, state = pose.problem, best.descent.state
     eye, few = problem.eyes[0], problem.few(LOOKED_AT)
-    found = Solution(eye.canonical(state), best.descent.seen[0].view, ())
-    alike = [eye.with_camera(pose.name, c, state) for c in mirrored(eye.solver, found)]
+    views = eye.solver.subject.alike.views(eye.canonical(state))
+    alike = [eye.with_camera(pose.name, camera, state) for camera in views]
     coarse = replace(few, depth=min(problem.levels, 2))
     here = sum(seen.view.squares for seen in coarse.look(state))
     noise = sum(RULES.exact * float(seen.view.sums.touched) for seen in best.descent.seen)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .._camera.axes import axes_of
+from .._camera.axes import axes_of, sphere_points
 from .._camera.camera import Camera
 from .._numerics.memo import memoised
 from .._rules import RULES
@@ -107,12 +107,3 @@ def aimed(mask: Mask, scene: Scene, ball: Ball) -> Camera:
         reach = max(reach * np.sqrt(size / goal.solid_angle[0]), NEAREST)
     toward = facing((axes @ -away)[None])[0] @ axes
     return mask.camera.with_pose(ball.centre + reach * ball.radius * away, goal.axes[0].T @ toward)
-
-
-def sphere_points(number: int) -> np.ndarray:
-    """Return unit vectors (number, 3), spread evenly over the sphere (Fibonacci's spiral)."""
-    k = np.arange(number) + 0.5
-    z = 1 - 2 * k / number
-    angle = np.pi * (1 + 5**0.5) * k
-    r = np.sqrt(1 - z * z)
-    return np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=-1)

@@ -15,11 +15,11 @@ from .._mask.mask import Mask
 from .._mask.pyramid import LEAST_CELLS, Level
 from .._mask.target import Window, object_window
 from .._numerics.threads import in_threads, some_at_once
+from .._scene.alike import Revolution
 from .looks import Origin, View, size_of_looks
 from .moves import Bounds, Move, moved
 from .priors import OtherViews, Prior, no_others
 from .problem import COARSE_PX, FINE_PX, SETTLED, Problem, move_about
-from .revolution import Revolution
 from .store import Levels, LevelsKey, Store
 from .subject import Subject
 

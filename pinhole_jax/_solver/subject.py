@@ -10,10 +10,9 @@ import numpy as np
 from .._camera.axes import axes_of
 from .._camera.camera import Camera
 from .._mask.target import Window
+from .._scene.alike import Alike
 from .._scene.coarse import seen_from_afar
 from .._scene.scene import Ball, Scene, astype, ball_about, bounding_box, padded
-from .revolution import Revolution, revolutions, some_of
-from .symmetry import Turn, turns_of_a_mesh
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,33 +50,18 @@ class Subject:
         return np.dtype(self.pivot.centre.dtype)
 
     @cached_property
-    def mesh(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the mesh's vertices (V, 3) and faces (F, 3), none where there is no mesh."""
-        mesh = self.given.mesh
+    def alike(self) -> Alike:
+        """What of the mesh looks alike."""
+        mesh, centre = self.given.mesh, np.asarray(self.ball.centre, float)
         if mesh is None:
-            return np.zeros((0, 3)), np.zeros((0, 3), int)
-        return np.asarray(mesh.vertices), np.asarray(mesh.faces)
+            return Alike(np.zeros((0, 3)), np.zeros((0, 3), int), centre)
+        return Alike(np.asarray(mesh.vertices), np.asarray(mesh.faces), centre)
 
     @cached_property
     def from_afar(self) -> Scene:
         """Return the scene as small pictures of it show it (`_mask.search`)."""
         mesh = self.given.mesh
         return Scene(None if mesh is None else seen_from_afar(mesh), self.given.spheres)
-
-    @cached_property
-    def points(self) -> np.ndarray:
-        """Return some hundreds of the mesh's vertices (n, 3), or none."""
-        return some_of(self.mesh[0])
-
-    @cached_property
-    def revolutions(self) -> list[Revolution]:
-        """Return the lines that the mesh is round about, but for a part of it."""
-        return revolutions(self.mesh[0])
-
-    @cached_property
-    def turns(self) -> list[Turn]:
-        """Return the turns that bring most of the mesh's faces to other faces."""
-        return turns_of_a_mesh(*self.mesh)
 
     def within(self, window: Window, camera: Camera, W: int, H: int) -> bool:
         """True if a camera (canonical) shows nothing of the scene outside a window of the

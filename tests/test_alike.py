@@ -1,11 +1,12 @@
-"""Lines that a body is round about, against how the body was made."""
+"""Lines that a body is round about and turns that bring its faces to one another, against how the
+body was made."""
 
 import numpy as np
 import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from pinhole_jax._solver.revolution import revolutions
+from pinhole_jax._scene.alike import Alike
 
 TURN, SHIFT = Rotation.from_rotvec([0.4, 1.1, -0.7]).as_matrix(), np.array([3.0, -4.0, 5.0])
 
@@ -56,14 +57,14 @@ def rings(sections, number):
     ],
 )
 def test_bodies_as_people_model_them(vertices, sections, turn):
-    lines = found(vertices @ turn.T)
+    lines = lines_of(vertices @ turn.T)
     assert len(lines) == 1
     assert abs(lines[0].axis @ turn @ [0, 0, 1]) > np.cos(np.deg2rad(0.2))
     assert lines[0].pitch == pytest.approx(2 * np.pi / sections)
 
 
-def found(vertices):
-    return revolutions(np.asarray(vertices))
+def lines_of(vertices):
+    return Alike(np.asarray(vertices), np.zeros((0, 3), int), np.zeros(3)).lines
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e4])
@@ -72,7 +73,7 @@ def found(vertices):
 )
 @pytest.mark.parametrize("sections", [20, 48, 64])
 def test_axis_and_facets_are_recovered(make, sections, scale):
-    (line,) = found(scale * (np.asarray(make(sections)) @ TURN.T + SHIFT))
+    (line,) = lines_of(scale * (np.asarray(make(sections)) @ TURN.T + SHIFT))
     axis = TURN @ [0, 0, 1]
     assert abs(line.axis @ axis) > np.cos(np.deg2rad(0.2))
     off = line.centre - scale * SHIFT
@@ -83,14 +84,15 @@ def test_axis_and_facets_are_recovered(make, sections, scale):
 def test_smooth_body_has_no_facets():
     angle, height = np.random.default_rng(0).uniform([0, -1], [2 * np.pi, 1], (4000, 2)).T
     radius = 1 + 0.2 * height
-    (line,) = found(np.stack([radius * np.cos(angle), radius * np.sin(angle), 2 * height], axis=-1))
+    around = radius * np.cos(angle), radius * np.sin(angle)
+    (line,) = lines_of(np.stack([*around, 2 * height], axis=-1))
     assert line.pitch is None
 
 
 def test_million_vertices_on_a_circle_are_smooth():
     angle = np.linspace(0, 2 * np.pi, 500_000, endpoint=False)
     ring = np.stack([np.cos(angle), np.sin(angle), np.ones_like(angle)], axis=-1)
-    (line,) = found(np.concatenate([ring, -ring]))
+    (line,) = lines_of(np.concatenate([ring, -ring]))
     assert line.pitch is None
 
 
@@ -124,13 +126,66 @@ def test_million_vertices_on_a_circle_are_smooth():
     ],
 )
 def test_angular_body_has_no_axis(vertices):
-    assert found(np.asarray(vertices, float)) == []
+    assert lines_of(np.asarray(vertices, float)) == []
 
 
 def test_ball_is_round_about_three_axes():
-    assert len(found(trimesh.creation.icosphere(4).vertices)) == 3
+    assert len(lines_of(trimesh.creation.icosphere(4).vertices)) == 3
 
 
 def test_robots_and_animals_are_not_round(shared):
     for name in ("meshes/spot.obj", "robots/lbr_med7/mesh/link_2.stl", "knee/femur.stl"):
-        assert found(np.asarray(trimesh.load(shared / name, force="mesh").vertices)) == []
+        assert lines_of(np.asarray(trimesh.load(shared / name, force="mesh").vertices)) == []
+
+
+def turns_of(vertices, faces):
+    return Alike(vertices, faces, np.zeros(3)).turns
+
+
+def with_a_part(body, radius=0.15, at=(0.8, 0.1, 0.3)):
+    part = trimesh.creation.icosphere(subdivisions=1, radius=radius)
+    part.apply_translation(at)
+    return body + part
+
+
+@pytest.mark.parametrize(
+    ("mesh", "number"),
+    [
+        (trimesh.creation.icosphere(3), 59),
+        (trimesh.creation.cylinder(0.8, 2, sections=24), 47),
+        (with_a_part(trimesh.creation.cylinder(0.8, 2, sections=24)), 47),
+        (trimesh.creation.box([1.0, 2.0, 3.0]), 3),
+        (trimesh.creation.box([1.0, 1.3, 3.0]), 3),
+        (trimesh.creation.torus(1, 0.3, major_sections=20, minor_sections=8), 39),
+    ],
+    ids=["ball", "can", "can with a bump", "brick", "another", "ring"],
+)
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e4])
+def test_body_has_the_rotations_it_was_made_with(mesh, number, scale):
+    turn = Rotation.from_rotvec([0.4, 1.1, -0.7]).as_matrix()
+    vertices = scale * (np.asarray(mesh.vertices) @ turn.T + [3.0, -4.0, 5.0])
+    found = turns_of(vertices.astype(np.float32), np.asarray(mesh.faces))
+    assert len(found) == number
+    for rotation, _ in found:
+        np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-6)
+        assert np.linalg.det(rotation) == pytest.approx(1, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("vertices", "faces"),
+    [
+        (np.zeros((0, 3)), np.zeros((0, 3), int)),
+        (np.zeros((3, 3)), [[0, 1, 2]] * 9),
+        (np.eye(3), [[0, 1, 2]]),
+        (np.arange(9.0).reshape(3, 3), [[0, 1, 2]] * 4),
+    ],
+    ids=["none", "a point", "one face", "a line"],
+)
+def test_mesh_without_area_has_no_rotations(vertices, faces):
+    assert turns_of(vertices, np.asarray(faces)) == []
+
+
+def test_noise_leaves_no_turn():
+    ball = trimesh.creation.icosphere(3)
+    noise = np.random.default_rng(0).normal(size=ball.vertices.shape)
+    assert turns_of(np.asarray(ball.vertices) + 1e-3 * noise, np.asarray(ball.faces)) == []
