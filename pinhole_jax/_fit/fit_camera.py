@@ -138,12 +138,11 @@ def fit_camera(
         if concrete:
             return run(inputs)[0]
         check_plain(prior=prior, bounds=bounds, photo=photo is not None)
-        of_camera = lambda fit: fit.camera
-        with_camera = lambda fit, camera: fit._replace(camera=camera)
+        answer = lambda fit: fit.camera
         velocity = lambda fit, trust, *given: camera_velocity(
             fit.camera, freed, given[0], trust(), given[1]
         )
-        return through(run, inputs, of_camera, with_camera, velocity)
+        return through(run, inputs, answer, velocity)
 
 
 def check_steps(max_steps: Any) -> None:

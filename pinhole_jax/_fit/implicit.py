@@ -44,7 +44,6 @@ def through(
     run: Callable[[Any], tuple[Any, Any]],
     inputs: Any,
     answer: Callable[[Any], Any],
-    with_answer: Callable[[Any, Any], Any],
     velocity: Callable[[Any, Any, Any, Any], Any],
     names: str = "`target`, `scene`, `weight`",
 ) -> Any:
@@ -52,7 +51,6 @@ def through(
 
     - `run`: makes the result of inputs, and something that `velocity` needs.
     - `answer`: the part of the result that is differentiable, a pytree.
-    - `with_answer`: the result with such an answer in place of its own.
     - `velocity`: the answer's rate of change, given the result, that something, the inputs and
       their velocities: None for those that do not change.
     - `names`: the arguments that inputs come from, as errors name them.
@@ -81,7 +79,7 @@ def through(
         return answer(solved[0]), velocity(*solved, tangents[0])
 
     found = answer_of(changing)
-    return with_answer(results[-1], found)
+    return eqx.tree_at(answer, results[-1], found)
 
 
 def check_plain(**given: Any) -> None:

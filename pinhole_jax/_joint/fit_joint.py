@@ -18,7 +18,7 @@ from .joint_fit import JointFit
 from .levels import Path, Tell, descend, finish
 from .summary import report
 from .system import JointProblem
-from .velocities import answer_of, velocity, with_answer
+from .velocities import answer_of, velocity
 from .views import POSE, JointView
 
 #: With the zeros of joints a fit goes on from this many levels before the finest. (Zeros off by 3
@@ -135,7 +135,7 @@ def joint_fit(
     named = ("prior", "bounds", "joint_zeros")
     photos = any(view.photo is not None for view in views)
     check_plain(photo=photos, **{name: given.get(name) for name in named})
-    return through(run, views, answer_of, with_answer, velocity)
+    return through(run, views, answer_of, velocity)
 
 
 def _fit(problem: JointProblem, search: bool, tell: Tell) -> tuple[JointFit, Agreement]:

@@ -93,13 +93,13 @@ def _words(problem: JointProblem, direction: np.ndarray) -> list[str]:
     """The unknowns that move along a direction."""
     sizes: dict[str, float] = {}
     for unknown in problem.unknowns:
-        whole = np.zeros(6)
-        part = MOTIONS.get(unknown.kind, slice(0, unknown.size))
-        whole[part] = direction[problem.place(unknown.name, unknown.kind)]
+        part = direction[problem.place(unknown.name, unknown.kind)]
+        words = {unknown.kind: part}
         if unknown.kind in MOTIONS:
-            sizes[f"the turn of {unknown.name}"] = float(np.linalg.norm(whole[:3]))
-            sizes[f"the place of {unknown.name}"] = float(np.linalg.norm(whole[3:]))
-        else:
-            sizes[f"the {unknown.kind} of {unknown.name}"] = float(np.linalg.norm(whole))
+            words = {"turn": part[:3], "place": part[3:]}
+        if unknown.kind == "position":
+            words = {"place": part}
+        for word, numbers in words.items():
+            sizes[f"the {word} of {unknown.name}"] = float(np.linalg.norm(numbers))
     chief = sorted((w for w in sizes if sizes[w] > CHIEF), key=lambda w: -sizes[w])
     return chief or ["a mixture of all unknowns"]

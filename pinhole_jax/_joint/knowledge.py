@@ -4,7 +4,7 @@ A prior of a number is a residual beside those of the masks, in units in which t
 noise is its standard deviation.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,14 +14,14 @@ from .._camera.poses import skew
 from .._solver.looks import View
 from .._solver.moves import Bounds
 from .._solver.parameters import LABELS, labels_of
-from .._solver.priors import bounds_of, check_positive, pairs, prior_of
+from .._solver.priors import bounds_of, check_positive, pairs
 from .views import MOTIONS, POSE, SCALE, ZERO, Eye, JointView, State, lens_reported
 
 #: Coordinates of an eye, and of an object.
-EYE, PLACE = ("e_x", "e_y", "e_z"), ("x", "y", "z")
+EYE, PLACE, ORIGIN = ("e_x", "e_y", "e_z"), ("x", "y", "z"), np.zeros(3)
 
 #: Means and standard deviations, by labels.
-Known = Mapping[str, tuple[float, float]]
+Known = dict[str, tuple[float, float]]
 
 
 class JointPrior(NamedTuple):
@@ -69,38 +69,40 @@ def priors_of(
 
     Raises ValueError for what is no prior of these.
     """
-    result: list[JointPrior] = []
     others = list(dict.fromkeys([*objects, *scales]))
-    for name, given in by_name("prior", prior, cameras, others).items():
+
+    def parts(name: str) -> Iterator[tuple[str, str, Sequence[str], np.ndarray]]:
+        """Unknowns by name and kind, the numbers that they report, and the point of a pose."""
         if name in others:
-            labels = [*(PLACE if name in objects else ()), *([SCALE] if name in scales else ())]
-            known = _checked(given, labels)
-            result += _prior(name, POSE, known, PLACE)
-            result += _prior(name, SCALE, known, (SCALE,))
-            continue
-        checked = prior_of(given, cameras[name], freed)
-        if checked is None:
-            continue
-        numbers = (np.asarray(x, float).tolist() for x in (checked.mean, checked.std))
-        known = dict(zip(checked.labels, zip(*numbers, strict=True), strict=True))
+            yield from [(name, POSE, PLACE, ORIGIN)] if name in objects else []
+            yield from [(name, SCALE, (SCALE,), ORIGIN)] if name in scales else []
+            return
         eye = next(eye for eye in eyes if eye.shot.camera == name)
-        kind = "position" if "position" in freed else POSE
-        result += _prior(eye.moving, kind, known, EYE, eye.rig[:3, 3])
+        for kind in {POSE, "position"} & {*freed}:
+            yield eye.moving, kind, EYE, eye.rig[:3, 3]
         for row, owner in eye.owners.items():
-            result += _prior(owner, row, known, labels_of((row,)))
+            yield owner, row, labels_of((row,)), ORIGIN
+
+    result: list[JointPrior] = []
+    for name, given in by_name("prior", prior, cameras, others).items():
+        known = _checked(given, [label for _, _, labels, _ in parts(name) for label in labels])
+        for label in (label for label in known if label in LABELS and LABELS[label].unit == "px"):
+            known[label] = tuple(x / cameras[name].H for x in known[label])
+        for unknown, kind, labels, point in parts(name):
+            result += _prior(unknown, kind, known, labels, point)
     by_content = {str(prior): prior for prior in result}
     return [*by_content.values()]
 
 
 def _prior(
-    name: str, kind: str, known: Known, labels: Sequence[str], point: np.ndarray | None = None
+    name: str, kind: str, known: Known, labels: Sequence[str], point: np.ndarray = ORIGIN
 ) -> list[JointPrior]:
     """The prior of an unknown that reports these labels; none where nothing is known of them."""
     rows = [k for k, label in enumerate(labels) if label in known]
     if not rows:
         return []
     mean, std = np.array([known[labels[k]] for k in rows]).T
-    return [JointPrior(name, kind, rows, mean, std, np.zeros(3) if point is None else point)]
+    return [JointPrior(name, kind, rows, mean, std, point)]
 
 
 def scales_of(prior: Any, views: Sequence[JointView]) -> dict[str, float]:

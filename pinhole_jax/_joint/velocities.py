@@ -1,7 +1,7 @@
 """The answer of a joint fit as a function of its views: see `_fit.implicit`."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -22,30 +22,16 @@ from .joint_fit import JointFit
 from .system import JointProblem
 from .views import MOTIONS, JointView, State
 
-
-class Answer(NamedTuple):
-    """The differentiable part of a joint fit: cameras, objects' poses and scales, by name."""
-
-    cameras: dict[str, Camera]
-    poses: dict[str, Any]
-    scales: dict[str, Any]
+#: Cameras, objects' poses and scales, by name.
+Answer = tuple[dict[str, Camera], dict[str, Any], dict[str, Any]]
 
 
 def answer_of(fit: JointFit) -> Answer:
-    """The answer of a fit."""
-    return Answer(
+    """The differentiable part of a joint fit."""
+    return (
         {name: found.camera for name, found in fit.cameras.items()},
-        {name: np.asarray(found.pose) for name, found in fit.objects.items()},
-        {name: np.asarray(found.value) for name, found in fit.scales.items()},
-    )
-
-
-def with_answer(fit: JointFit, answer: Answer) -> JointFit:
-    """The fit with another answer."""
-    return fit._replace(
-        cameras={n: x._replace(camera=answer.cameras[n]) for n, x in fit.cameras.items()},
-        objects={n: x._replace(pose=answer.poses[n]) for n, x in fit.objects.items()},
-        scales={n: x._replace(value=answer.scales[n]) for n, x in fit.scales.items()},
+        {name: found.pose for name, found in fit.objects.items()},
+        {name: found.value for name, found in fit.scales.items()},
     )
 
 
@@ -64,16 +50,12 @@ def velocity(
         rates = change.target, change.weight, moved
         counts = float(problem.weights[k])
         slopes.append(ends[-1].slope(problem.columns(k), counts, view.weight, rates))
-    result = Answer({}, {}, {})
+    cameras, places, scales = {}, {}, {}
     for eye, end, step in zip(problem.eyes, ends, steps_of(slopes), strict=True):
-        camera, place, scale = velocity_of(end.vantage, step)
-        result.cameras[eye.shot.camera] = camera
-        if eye.shot.object is not None:
-            result.poses[eye.shot.object] = place
-        if eye.shot.scale is not None:
-            result.scales[eye.shot.scale] = scale
-    pairs = zip(answer_of(fit), result, strict=True)
-    return Answer(*({name: rates[name] for name in own} for own, rates in pairs))
+        shot, rates = eye.shot, velocity_of(end.vantage, step)
+        cameras[shot.camera], places[shot.object], scales[shot.scale] = rates
+    pick = lambda rates, names: {name: rates[name] for name in names}
+    return pick(cameras, fit.cameras), pick(places, fit.objects), pick(scales, fit.scales)
 
 
 def _vantage_of(problem: JointProblem, k: int, state: State) -> Vantage:

@@ -181,10 +181,7 @@ def fit_points(
         check_plain(prior=prior, bounds=bounds)
         named = "`points3d`, `points2d`, `weights`"
         answer = lambda fits: tuple(fit.camera for fit in fits)
-        put = lambda fits, cameras: tuple(
-            fit._replace(camera=camera) for fit, camera in zip(fits, cameras, strict=True)
-        )
-        fits = through(run, inputs, answer, put, _velocity, named)
+        fits = through(run, inputs, answer, _velocity, named)
     return fits if np.ndim(points2d) == 3 else fits[0]
 
 
