@@ -13,7 +13,7 @@ Views weighed by their G (Hansen's generalised moments, 1982) were tried in plac
 robot's ten masks the eye moved by 6 mm with where the descent began, and it was no nearer.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -117,20 +117,13 @@ class Agreement:
         by_masks = variance * self.solved.inverse(place, place)
         return by_masks + self._by_priors.covariance(place, self.noise**2 - variance)
 
-    def covariance_of(self, estimates: Estimates) -> np.ndarray:
+    def covariance_of(self, estimates: Estimates, independent: bool = False) -> np.ndarray:
         """The covariance (p, p) of reported numbers; infinite, with no covariances, where they move
         along directions that change no mask."""
-        return self._carried(estimates, self.covariance)
-
-    def independent_of(self, estimates: Estimates) -> np.ndarray:
-        """`covariance_of` were the residuals independent and of one variance."""
-        return self._carried(estimates, self.independent)
-
-    def _carried(
-        self, estimates: Estimates, covariance: Callable[[np.ndarray], np.ndarray]
-    ) -> np.ndarray:
-        result = estimates.by_unknowns @ covariance(estimates.place) @ estimates.by_unknowns.T
-        forget(result, estimates.by_unknowns @ self.unseen[estimates.place])
+        place, by_unknowns = estimates.place, estimates.by_unknowns
+        known = self.independent(place) if independent else self.covariance(place)
+        result = by_unknowns @ known @ by_unknowns.T
+        forget(result, by_unknowns @ self.unseen[place])
         return result
 
     @cached_property

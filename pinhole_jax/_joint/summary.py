@@ -147,7 +147,7 @@ def _camera_fit(end: Outcome, name: str, views: tuple[ViewFit, ...], free: Seque
         iou=iou,
         steps=end.path.steps,
         history=_history(end, numbers[0], seen_from, film),
-        independent_covariance=found.independent_of(estimates),
+        independent_covariance=found.covariance_of(estimates, independent=True),
         mask_error=max(known, key=lambda e: e.px) if known else None,
     )
     status, weak = _status(end, numbers, views, fit)

@@ -63,7 +63,8 @@ def resect_three(
     triangles at most: the only pose, or up to four, of each."""
     rays = _rays(camera, seen_at)
     threes = triangles(points, seen_at, most)
-    return [_posed(camera, *pose) for pose in poses_of_three(points[threes], rays[threes])]
+    poses = [pose for three in threes for pose in poses_of_three(points[three], rays[three])]
+    return [_posed(camera, *pose) for pose in poses]
 
 
 def turn(

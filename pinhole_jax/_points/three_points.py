@@ -17,45 +17,31 @@ THIN = 1e-6
 #: Distances that differ by a smaller share are the same, and ones that leave a side off by a larger
 #: share of the longest are none.
 SAME, OFF = 1e-6, 0.1
+#: The ends of the side opposite to each point; its squared length and its angle's cosine have the
+#: point's number.
+NEXT, LAST = [1, 2, 0], [2, 0, 1]
 
 Pose = tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]
 
 
-def poses_of_three(
-    points: Float[np.ndarray, "T 3 3"], rays: Float[np.ndarray, "T 3 3"]
-) -> list[Pose]:
+def poses_of_three(points: Float[np.ndarray, "3 3"], rays: Float[np.ndarray, "3 3"]) -> list[Pose]:
     """Rotations and translations that bring three points (rows) onto their rays (unit), in
-    front of the eye: of each triangle up to four, none of three points of a line.
+    front of the eye: up to four, none of three points of a line.
 
     Where noise leaves no exact pose, two that nearly meet are replaced by what lies between them.
     """
-    p, q = [1, 2, 0], [2, 0, 1]  # side k is opposite to point k, and so is the angle of two rays
-    sides = np.sum((points[:, p] - points[:, q]) ** 2, axis=2)
-    cosines = np.sum(rays[:, p] * rays[:, q], axis=2)
-    begin = [
-        (k, depths)
-        for k in np.flatnonzero(_are_triangles(points))
-        for depths in _depths(sides[k], cosines[k])
-    ]
-    if not begin:
+    a, b = points[1:] - points[0]
+    if not np.linalg.norm(np.cross(a, b)) > THIN * np.linalg.norm(a) * np.linalg.norm(b):
         return []
-    which = np.array([k for k, _ in begin])
-    depths, off = _polish(np.array([d for _, d in begin]), sides[which], cosines[which])
-    good = np.all(depths > 0, axis=1) & (off < OFF * sides[which].max(axis=1))
-    result: list[Pose] = []
-    for k in np.unique(which[good]):
-        some = depths[good & (which == k)]
-        for n, one in enumerate(some):
-            if not any(np.allclose(one, other, rtol=SAME) for other in some[:n]):
-                result.append(align(points[k], one[:, None] * rays[k]))
-    return result
-
-
-def _are_triangles(points: np.ndarray) -> np.ndarray:
-    """Whether triples of points (T, 3, 3) lie on no line (T,)."""
-    a, b = points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]
-    size = np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1)
-    return (np.linalg.norm(np.cross(a, b), axis=1) > THIN * size) & (size > 0)
+    sides = np.sum((points[NEXT] - points[LAST]) ** 2, axis=1)
+    cosines = np.sum(rays[NEXT] * rays[LAST], axis=1)
+    found: list[np.ndarray] = []
+    for begin in _depths(sides, cosines):
+        depths, off = _polish(begin, sides, cosines)
+        is_new = not any(np.allclose(depths, other, rtol=SAME) for other in found)
+        if np.all(depths > 0) and off < OFF * sides.max() and is_new:
+            found.append(depths)
+    return [align(points, depths[:, None] * rays) for depths in found]
 
 
 def _depths(sides: np.ndarray, cosines: np.ndarray) -> list[np.ndarray]:
@@ -82,23 +68,23 @@ def _ratios(a: float, b: float, c: float, x: float, y: float, z: float) -> np.nd
     return np.unique(roots.real[roots.real > 0])
 
 
-def _polish(
-    depths: np.ndarray, sides: np.ndarray, cosines: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Distances (m, 3) after Gauss-Newton on the squared sides, and how far off the worst of
-    these then is (m,)."""
-    k, p, q = [0, 1, 2], [1, 2, 0], [2, 0, 1]
-
-    def off() -> np.ndarray:
-        a, b = depths[:, p], depths[:, q]
-        return a * a + b * b - 2 * a * b * cosines - sides
-
+def _polish(depths: np.ndarray, sides: np.ndarray, cosines: np.ndarray) -> tuple[np.ndarray, float]:
+    """Distances (3,) after Gauss-Newton on the squared sides, and how far off the worst of
+    these then is."""
     for _ in range(STEPS):
-        slope = np.zeros((len(depths), 3, 3))
-        slope[:, k, p] = 2 * (depths[:, p] - depths[:, q] * cosines)
-        slope[:, k, q] = 2 * (depths[:, q] - depths[:, p] * cosines)
-        depths = depths - (np.linalg.pinv(slope, rcond=1e-9) @ off()[..., None])[..., 0]
-    return depths, np.abs(off()).max(axis=1)
+        near, far = depths[NEXT], depths[LAST]
+        slope = np.zeros((3, 3))
+        slope[range(3), NEXT] = 2 * (near - far * cosines)
+        slope[range(3), LAST] = 2 * (far - near * cosines)
+        off = _squared_sides(depths, cosines) - sides
+        depths = depths - np.linalg.pinv(slope, rcond=1e-9) @ off
+    return depths, float(np.max(np.abs(_squared_sides(depths, cosines) - sides)))
+
+
+def _squared_sides(depths: np.ndarray, cosines: np.ndarray) -> np.ndarray:
+    """Squared sides (3,) of a triangle at these distances."""
+    near, far = depths[NEXT], depths[LAST]
+    return near * near + far * far - 2 * near * far * cosines
 
 
 def align(points: np.ndarray, seen: np.ndarray, about_middle: bool = True) -> Pose:
