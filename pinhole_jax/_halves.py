@@ -17,19 +17,17 @@ from jaxtyping import Float
 
 from ._camera.poses import inverse, pose_of, skew
 from ._fit.drift import POSE, squared_sigmas
-from ._fit.result import Fit, MaskError
+from ._fit.result import CameraResult, MaskError, Result
 from ._fit.words import UNIT
 from ._joint.joint_fit import JointFit, ObjectFit
 from ._mask.target import check_target, inside_of
 from ._numerics.arrays import ArrayLike, Input
-from ._points.fit_points import PointFit
 from ._solver.heading import carried
 from ._solver.parameters import LABELS
 
 Half = TypeVar("Half")
-CameraFit = Fit | PointFit
 #: What a refit returns: a fit of one camera, of one problem, or of views that share parameters.
-AnyFit = CameraFit | JointFit | Sequence[CameraFit]
+AnyFit = CameraResult | JointFit | Sequence[CameraResult]
 
 MOTION = ("turn_x", "turn_y", "turn_z", "x", "y", "z")
 #: Halves of right error bars differ by more in one of a hundred cases.
@@ -163,7 +161,7 @@ def split_check(refit: Callable[[Half], AnyFit], halves: tuple[Half, Half]) -> S
     ```
     """
     first, second = map(refit, halves)
-    if not isinstance(first, Fit | PointFit | JointFit | Sequence):
+    if not isinstance(first, Result | Sequence):
         raise ValueError(f"`refit`: expected it to return a fit, got {type(first).__name__}")
     checks = [_compared(a, b) for a in _rivals(first) for b in _rivals(second)]
     best = min(checks, key=lambda check: (not check.parameters, check.rms))
@@ -211,13 +209,12 @@ def outline_halves(
 
 
 def _statuses(fit: AnyFit) -> Sequence[str]:
-    alone = isinstance(fit, Fit | PointFit | JointFit)
-    return [fit.status] if alone else [view.status for view in fit]
+    return [fit.status] if isinstance(fit, Result) else [view.status for view in fit]
 
 
 def _rivals(fit: AnyFit) -> Sequence[AnyFit]:
     """A fit and its modes, which explain its half as well: any of them may be the other's."""
-    return (fit, *fit.modes) if isinstance(fit, Fit | PointFit | JointFit) else (fit,)
+    return (fit, *fit.modes) if isinstance(fit, Result) else (fit,)
 
 
 def _compared(first: AnyFit, second: AnyFit) -> SplitCheck:
@@ -246,7 +243,7 @@ class _HalfAnswer(NamedTuple):
 
 def _answers(fit: AnyFit) -> Mapping[str, _HalfAnswer]:
     """The answers of a fit, by the names of its cameras and objects."""
-    if isinstance(fit, Fit | PointFit):
+    if isinstance(fit, CameraResult):
         return {"camera": _camera_answer(fit)}
     if not isinstance(fit, JointFit):
         return {"shared": _shared_answer(fit)}
@@ -257,7 +254,7 @@ def _answers(fit: AnyFit) -> Mapping[str, _HalfAnswer]:
     return found
 
 
-def _camera_answer(fit: CameraFit) -> _HalfAnswer:
+def _camera_answer(fit: CameraResult) -> _HalfAnswer:
     """The scene's pose before a camera, and the camera's other parameters."""
     others = [k for k, name in enumerate(fit.names) if name not in POSE]
     values = np.array(
@@ -283,7 +280,7 @@ def _object_answer(placed: ObjectFit) -> _HalfAnswer:
     return _HalfAnswer(placed.pose, np.zeros(0), MOTION, carried(placed.covariance, by_reported))
 
 
-def _shared_answer(fits: Sequence[CameraFit]) -> _HalfAnswer:
+def _shared_answer(fits: Sequence[CameraResult]) -> _HalfAnswer:
     """What separate cameras have in common: parameters of one value in all of them."""
     answers = [_camera_answer(fit) for fit in fits]
     first, number = answers[0], len(answers[0].values)

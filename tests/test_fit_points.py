@@ -194,7 +194,7 @@ def test_priors_are_not_differentiated():
     fit = lambda x: pj.fit_points(SOLID, x, START, prior={"e_x": (0.0, 1.0)}).camera.e[0]
     with pytest.raises(ValueError, match="`prior`: expected none where the fit is diff"):
         jax.grad(fit)(jnp.zeros((30, 2)))
-    with pytest.raises(ValueError, match="`points3d`, `points2d`, `weights`: expected concrete"):
+    with pytest.raises(ValueError, match=r"`points3d`, `points2d`, `weights`: .*outside `jit` and"):
         jax.jit(lambda x: pj.fit_points(SOLID, x, START).camera.e)(jnp.zeros((30, 2)))
 
 
@@ -332,14 +332,11 @@ def test_error_bars_are_infinite_where_no_coordinate_is_left_over(number, free):
     assert "repeated points count once" in twice.weak[-1]
 
 
-def test_views_with_no_coordinate_left_over_together_are_unchecked():
-    """Three points in each of two views; but with eight in one, these show how points err."""
+def test_points_of_one_view_show_how_those_of_another_err():
+    """Three points in one of two views; eight in the other show how points err."""
     rng, true = np.random.default_rng(2), [near(EYES[0]), near(EYES[1])]
     points = rng.uniform(-1, 1, (8, 3))
     points2d = seen(true, points) + rng.normal(0, 0.1, (2, 8, 2))
-    for fit in pj.fit_points(points[:3], points2d[:, :3], true, shared=()):
-        assert fit.status in ("unchecked", "ambiguous")
-        assert np.all(np.isinf(fit.std))
     points2d[1, 3:] = np.nan
     many, few = pj.fit_points(points, points2d, true, shared=())
     assert (many.status, few.status) == ("converged", "ambiguous")

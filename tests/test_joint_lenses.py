@@ -88,30 +88,29 @@ def test_covariance_equals_that_of_one_dense_matrix(three):
     slope = (phi(1) - phi(-1)) / (2 * h)
     whole[-4] *= slope
     inverse_normal = np.linalg.inv(whole.T @ whole)
-    middle = noise**2 * whole[-4:].T @ whole[-4:]
+    by_priors = inverse_normal @ whole[-4:].T @ whole[-4:] @ inverse_normal
+    by_masks = np.zeros_like(inverse_normal)
     for k, (one, gradient) in enumerate(zip(seen, found.gradients, strict=True)):
         by = np.zeros((layout.size, len(gradient)))
         by[layout.columns(k)] = layout.weights[k] * one.moves.T
-        middle += found.wider * by @ gradient @ by.T
-    expected = inverse_normal @ middle @ inverse_normal
+        by_masks += found.wider * inverse_normal @ by @ gradient @ by.T @ inverse_normal
+    expected = by_masks + noise**2 * by_priors
     size = np.sqrt(np.diag(expected))
-    everything = np.arange(layout.size)
-    assert np.allclose(
-        found.covariance(everything) / np.outer(size, size),
-        expected / np.outer(size, size),
+    close = lambda a, b, place: np.allclose(
+        a / np.outer(size[place], size[place]),
+        b[np.ix_(place, place)] / np.outer(size[place], size[place]),
         atol=1e-6,
     )
-    for name in NAMES:
-        place = np.append(layout.place(name, "pose"), layout.place("one", "phi"))
-        scale = np.outer(size[place], size[place])
-        assert np.allclose(found.covariance(place) / scale, expected[np.ix_(place, place)] / scale)
-    sums = [x.view.sums for x in seen]
-    count = sum(float(x.touched) for x in sums) - layout.size
-    variance = sum(float(x.touched_squares) for x in sums) / count
-    one = found.independent(everything)
-    told = variance * inverse_normal
-    told += (noise**2 - variance) * inverse_normal @ whole[-4:].T @ whole[-4:] @ inverse_normal
-    assert np.allclose(one / np.outer(size, size), told / np.outer(size, size), atol=1e-6)
+    everything = np.arange(layout.size)
+    own = [np.append(layout.place(n, "pose"), layout.place("one", "phi")) for n in NAMES]
+    assert all(close(found.covariance(x), expected, x) for x in (everything, *own))
+    touched, squares = (
+        sum(float(getattr(x.view.sums, name)) for x in seen)
+        for name in ("touched", "touched_squares")
+    )
+    variance = squares / (touched - layout.size)
+    told = variance * inverse_normal + (noise**2 - variance) * by_priors
+    assert close(found.independent(everything), told, everything)
 
 
 @pytest.mark.long

@@ -15,20 +15,6 @@ from pinhole_jax._camera.poses import exponential
 PLACE = exponential(np.array([0.3, 0.2, -0.4, 0.2, 0.1, 0.3]))
 
 
-def test_object_pose_before_known_cameras_is_found(arm, scenes):
-    moved = arm.scene_at([PLACE @ pose for pose in posture(0)])
-    views = [
-        pj.JointView(scenes[0], drawn(camera, moved), camera=name, object="part")
-        for name, camera in BOTH_EYES.items()
-    ]
-    fit = pj.fit_joint(views, BOTH_EYES, (), objects={"part": PLACE @ OFF})
-    found = fit.objects["part"]
-    assert fit.status == "converged"
-    assert np.max(np.abs(found.pose - PLACE)) < 1e-9
-    assert np.all(found.std > 0)
-    assert np.all(found.std < 1e-6)
-
-
 @pytest.fixture(scope="module")
 def larger(arm, scenes):
     """Views of a part that is 1.1 times as large as its mesh, somewhere before known cameras."""

@@ -377,10 +377,9 @@ def uncertain_rotation(
     limit = RULES.uncertain if limit is None else limit
     if not (sigma := float(np.sqrt(max(values[-1], 0.0)))) > limit:
         return ()
-    axis, degrees = in_words(vectors[:, -1] @ axes_of(camera)), np.rad2deg(sigma)
-    return (
-        f"rotation about the axis {axis} is uncertain by {degrees:.1f} degrees (1 sigma){more}",
-    )
+    axis, degrees = in_words(vectors[:, -1] @ axes_of(camera)), float(f"{np.rad2deg(sigma):.2g}")
+    words = f"rotation about the axis {axis} is uncertain by {degrees:g} degrees (1 sigma)"
+    return (words + more,)
 
 
 def iou_and_rms(masks: Sequence[Sums]) -> tuple[float, float]:

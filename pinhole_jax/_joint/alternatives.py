@@ -64,12 +64,19 @@ P = TypeVar("P", State, Path)
 
 
 class LonePose(NamedTuple):
-    """A pose whose views depend on no other unknown one: its name, and the problem of these views,
-    in which what others show, too, is held or known."""
+    """A pose whose views depend on no other unknown one.
+
+    - `name`, and `numbers` of its views.
+    - `problem`: that of these views, in which what others show, too, is held or known.
+    - `others`: paths to other places that explain its masks as well as the best.
+    - `free`: directions along which the best place may move.
+    """
 
     name: str
     problem: JointProblem
     numbers: list[int]
+    others: Sequence[Path] = ()
+    free: Sequence[Free] = ()
 
     def seen_in(self, path: Path) -> Path:
         """A path of all views, as these see it."""
@@ -77,56 +84,43 @@ class LonePose(NamedTuple):
         squares = float(sum(s.view.squares for s in seen))
         return path._replace(descent=path.descent._replace(seen=seen, squares=squares))
 
-
-class Alternatives(NamedTuple):
-    """Other paths of a lone pose that explain its masks as well as the best, which is `free` along
-    some directions."""
-
-    pose: LonePose
-    others: list[Path]
-    free: tuple[Free, ...]
+    def is_at(self, path: Path, state: State) -> bool:
+        """True if a path ends where a state has the pose."""
+        eye = self.problem.eyes[0]
+        cameras = eye.canonical(path.descent.state), eye.canonical(state)
+        return bool(separation(eye.solver, *cameras) <= RULES.same)
 
 
-def compare(
-    problem: JointProblem, path: Path | None, tell: Tell
-) -> tuple[Path, list[Alternatives]]:
+def compare(problem: JointProblem, path: Path | None, tell: Tell) -> tuple[Path, list[LonePose]]:
     """The best path, and what explains the masks as well, a lone pose at a time; without a path
     from a start all poses are searched.
 
     Where a pose is better elsewhere, all views descend from there, and are compared again. If that
     is worse for all together they stay, and the place is one of that pose's others.
     """
-    start, found = None if path is None else problem.start, []
+    start, poses = None if path is None else problem.start, []
     for turn in range(ROUNDS):
         state = problem.start if path is None else path.descent.state
-        poses = _lone_poses(problem, path)
-        places = [_places(pose, path, start, tell) for pose in poses]
-        if len(poses) == 1 and len(poses[0].numbers) == len(problem.eyes):
-            best, *others = places[0]
-            return best, [Alternatives(poses[0], others, best.free)]
-        found = [
-            Alternatives(pose, [p for p in paths if _is_elsewhere(pose, p, state)], paths[0].free)
-            for pose, paths in zip(poses, places, strict=True)
-        ]
-        bests = [paths[0].descent.state for paths in places]
-        moved = [x for x in zip(poses, bests, strict=True) if x[1] is not state]
+        poses, moved = [], []
+        for pose in _lone_poses(problem, path):
+            paths, free = _places(pose, path, start, tell)
+            if len(pose.numbers) == len(problem.eyes):
+                return paths[0], [pose._replace(others=paths[1:], free=free)]
+            others = [p for p in paths if not pose.is_at(p, state)]
+            poses.append(pose._replace(others=others, free=free))
+            if (best := paths[0].descent.state) is not state:
+                moved.append((pose, best))
         if path is not None and (not moved or turn == ROUNDS - 1):
-            return path, found
+            break
         there = descend(problem, join(problem, state, moved), tell, [1])
         if path is None:
             path = there
         elif there.squares <= path.squares + _noise(problem, path):
             path = path.then(there)
         else:
-            return path, found
+            break
     assert path is not None
-    return path, found
-
-
-def _is_elsewhere(pose: LonePose, path: Path, state: State) -> bool:
-    eye = pose.problem.eyes[0]
-    cameras = eye.canonical(path.descent.state), eye.canonical(state)
-    return bool(separation(eye.solver, *cameras) > RULES.same)
+    return path, poses
 
 
 def join(problem: JointProblem, state: State, moved: list[tuple[LonePose, State]]) -> State:
@@ -197,8 +191,11 @@ def _others(problem: JointProblem, k: int, path: Path, solved: LinearSolution) -
     return OtherViews(*(jnp.asarray(x, eye.solver.dtype) for x in (by_labels, here, left)))
 
 
-def _places(pose: LonePose, path: Path | None, start: State | None, tell: Tell) -> list[Path]:
-    """Paths of a lone pose that explain its masks as well as the best, which is the first."""
+def _places(
+    pose: LonePose, path: Path | None, start: State | None, tell: Tell
+) -> tuple[list[Path], Sequence[Free]]:
+    """Paths of a lone pose that explain its masks as well as the best, which is the first and free
+    along some directions."""
     here = None if path is None else pose.seen_in(path)
     if len(pose.numbers) == 1 and pose.name not in pose.problem.objects():
         return _paths_of_one_view(pose, here, start)
@@ -207,10 +204,12 @@ def _places(pose: LonePose, path: Path | None, start: State | None, tell: Tell) 
         state = problem.start if here is None else here.descent.state
         found = _search_together(pose, state, tell)
         paths = [f for f in found if here is None or f.squares < here.squares] or paths
-    return _best_paths(problem, [*paths, *_lookalikes(pose, paths[0], tell)])
+    return _best_paths(problem, [*paths, *_lookalikes(pose, paths[0], tell)]), ()
 
 
-def _paths_of_one_view(pose: LonePose, here: Path | None, start: State | None) -> list[Path]:
+def _paths_of_one_view(
+    pose: LonePose, here: Path | None, start: State | None
+) -> tuple[list[Path], Sequence[Free]]:
     """Paths of the pose of one view, by what `fit_camera` asks of its mask."""
     problem, (eye,) = pose.problem, pose.problem.eyes
     state = problem.start if here is None else here.descent.state
@@ -242,7 +241,7 @@ def _paths_of_one_view(pose: LonePose, here: Path | None, start: State | None) -
             paths = [here, *paths]
         elif known:
             paths.append(here)
-    return [paths[0]._replace(free=tuple(places.free)), *paths[1:]]
+    return paths, places.free
 
 
 def _keep_agreeing(

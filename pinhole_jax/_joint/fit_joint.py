@@ -12,7 +12,7 @@ from .._fit.result import with_modes
 from .._numerics.arrays import ArrayLike, Input, is_concrete
 from .._solver.priors import Pair
 from .agreement import Agreement
-from .alternatives import Alternatives, compare, join
+from .alternatives import LonePose, compare, join
 from .door import joint_problem
 from .joint_fit import JointFit
 from .levels import Path, Tell, descend, finish
@@ -150,34 +150,33 @@ def _fit(problem: JointProblem, search: bool, tell: Tell) -> tuple[JointFit, Agr
     if not search:
         path = descend(problem, problem.start, tell, range(problem.levels, 0, -1))
     # 4 Weigh what else explains the masks.
-    path, alternatives = compare(problem, path, tell)
+    path, poses = compare(problem, path, tell)
     if problem.zeros:
-        problem, path, alternatives = _with_zeros(problem, path, alternatives, tell)
+        problem, path, poses = _with_zeros(problem, path, poses, tell)
     # 5 Keep the best, and its modes.
     end = finish(problem, path, tell, photos=True)
     modes = [
-        (part.pose.name, report(finish(part.pose.problem, other, say), {}))
-        for part in alternatives
-        for other in part.others
+        (pose.name, report(finish(pose.problem, other, say), {}))
+        for pose in poses
+        for other in pose.others
     ]
     # 6 Status, covariance, words.
-    fit = report(end, {part.pose.name: part.free for part in alternatives})
+    fit = report(end, {pose.name: pose.free for pose in poses})
     return _with_modes(fit, modes), end.found
 
 
 def _with_zeros(
-    problem: JointProblem, path: Path, alternatives: list[Alternatives], tell: Tell
-) -> tuple[JointProblem, Path, list[Alternatives]]:
+    problem: JointProblem, path: Path, poses: list[LonePose], tell: Tell
+) -> tuple[JointProblem, Path, list[LonePose]]:
     """The problem in which the zeros of joints are sought, and paths on from those without."""
     problem, state = problem.with_zeros(), path.descent.state
     depths = range(min(problem.levels, ZEROS_FROM), 0, -1)
+    onward = lambda state: descend(problem, state, tell, depths)
     result = []
-    for part in alternatives:
-        states = [join(problem, state, [(part.pose, x.descent.state)]) for x in part.others]
-        others = [descend(problem, other, tell, depths) for other in states]
-        pose = part.pose._replace(problem=problem)
-        result.append(part._replace(pose=pose, others=others))
-    return problem, path.then(descend(problem, state, tell, depths)), result
+    for pose in poses:
+        states = [join(problem, state, [(pose, x.descent.state)]) for x in pose.others]
+        result.append(pose._replace(problem=problem, others=[*map(onward, states)]))
+    return problem, path.then(onward(state)), result
 
 
 def _with_modes(fit: JointFit, modes: list[tuple[str, JointFit]]) -> JointFit:

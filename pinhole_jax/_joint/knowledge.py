@@ -10,51 +10,87 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._camera.camera import Camera
-from .._camera.poses import skew
+from .._camera.poses import Pose, adjoint, inverse
 from .._solver.looks import View
 from .._solver.moves import Bounds
 from .._solver.parameters import LABELS, labels_of
 from .._solver.priors import bounds_of, check_positive, pairs
-from .views import MOTIONS, POSE, SCALE, ZERO, Eye, JointView, State, lens_reported
+from .views import (
+    MOTIONS,
+    POSE,
+    SCALE,
+    TO_B,
+    ZERO,
+    Eye,
+    JointView,
+    State,
+    lens_reported,
+    reported_twist,
+)
 
 #: Coordinates of an eye, and of an object.
 EYE, PLACE, ORIGIN = ("e_x", "e_y", "e_z"), ("x", "y", "z"), np.zeros(3)
+#: The six numbers of an object's pose, as they are reported.
+OF_OBJECT = ("rotation_x", "rotation_y", "rotation_z", *PLACE)
 
 #: Means and standard deviations, by labels.
-Known = dict[str, tuple[float, float]]
+Known = dict[str, tuple[float, ...]]
+
+
+class Report(NamedTuple):
+    """The numbers (p,) by which an unknown is reported: `labels`, `values` (0 for small turns), and
+    their derivative (p, n) by the unknown."""
+
+    labels: tuple[str, ...]
+    values: np.ndarray
+    by_unknown: np.ndarray
+
+
+def reported(
+    state: State, name: str, kind: str, freed: tuple[str, ...], view: View, rig: Pose | None
+) -> Report:
+    """The report of an unknown.
+
+    A pose is that of a camera fixed to it at `rig`, or of an object (None); parameters of a lens
+    (film coordinates in film heights) follow as a `view` with the moves `freed` sees them.
+    """
+    if kind in MOTIONS:
+        labels, axes = (OF_OBJECT, np.eye(3)) if rig is None else (labels_of((kind,)), TO_B)
+        rig = np.eye(4) if rig is None else rig
+        pose, part = state.poses[name] @ rig, MOTIONS[kind]
+        by_twist = reported_twist(pose[:3, :3], axes) @ adjoint(inverse(rig))
+        values = np.append(ORIGIN, pose[:3, 3])
+        return Report(labels, values[part], by_twist[part, part])
+    if kind == SCALE:  # its logarithm is the unknown
+        value = np.array([state.scales[name]])
+        return Report((SCALE,), value, value[:, None])
+    if kind == ZERO:
+        return Report((ZERO,), np.array([state.zeros.get(name, 0.0)]), np.eye(1))
+    labels = labels_of((kind,))
+    known = (value for label in labels if (value := LABELS[label].value) is not None)
+    values = [float(value(state.lenses[name])) for value in known]
+    return Report(labels, np.array(values), lens_reported(view, freed, kind))
 
 
 class JointPrior(NamedTuple):
-    """Means and standard deviations (k,) of numbers that follow one unknown: these `rows` of all
-    that it reports. A pose reports the place of a `point` in its frame."""
+    """Means and standard deviations (k,) of numbers, by their labels, that report one unknown: a
+    pose as that of a camera fixed to it at `rig`, or of an object (None)."""
 
     name: str
     kind: str
-    rows: list[int]
+    labels: tuple[str, ...]
     mean: np.ndarray
     std: np.ndarray
-    point: np.ndarray
+    rig: Pose | None
 
     def residuals(self, state: State, eye: Eye, view: View) -> tuple[np.ndarray, np.ndarray]:
         """Deviations from the means, in standard deviations (k,), and their derivative (k, n) by
         the unknown, as a view that depends on it sees it."""
-        values, by_unknown = self._reported(state, eye, view)
-        off = (values[self.rows] - self.mean) / self.std
-        return off, by_unknown[self.rows] / self.std[:, None]
-
-    def _reported(self, state: State, eye: Eye, view: View) -> tuple[np.ndarray, np.ndarray]:
-        if self.kind in MOTIONS:
-            rotation, shift = state.poses[self.name][:3, :3], state.poses[self.name][:3, 3]
-            by_twist = rotation @ np.concatenate([-skew(self.point), np.eye(3)], axis=1)
-            return rotation @ self.point + shift, by_twist[:, MOTIONS[self.kind]]
-        if self.kind == SCALE:
-            value = np.array([state.scales[self.name]])  # whose logarithm is sought
-            return value, value[:, None]
-        if self.kind == ZERO:
-            return np.array([state.zeros.get(self.name, 0.0)]), np.eye(1)
-        labels = (LABELS[label].value for label in labels_of((self.kind,)))
-        values = [float(value(state.lenses[self.name])) for value in labels if value is not None]
-        return np.array(values), lens_reported(view, eye.solver.freed, self.kind)
+        freed = eye.solver.freed
+        found = reported(state, self.name, self.kind, freed, view, self.rig)
+        rows = [found.labels.index(label) for label in self.labels]
+        off = (found.values[rows] - self.mean) / self.std
+        return off, found.by_unknown[rows] / self.std[:, None]
 
 
 def priors_of(
@@ -71,38 +107,38 @@ def priors_of(
     """
     others = list(dict.fromkeys([*objects, *scales]))
 
-    def parts(name: str) -> Iterator[tuple[str, str, Sequence[str], np.ndarray]]:
-        """Unknowns by name and kind, the numbers that they report, and the point of a pose."""
+    def parts(name: str) -> Iterator[tuple[str, str, Sequence[str], Pose | None]]:
+        """Unknowns by name and kind, the labels that may be known, and where a camera is fixed."""
         if name in others:
-            yield from [(name, POSE, PLACE, ORIGIN)] if name in objects else []
-            yield from [(name, SCALE, (SCALE,), ORIGIN)] if name in scales else []
+            yield from [(name, POSE, PLACE, None)] if name in objects else []
+            yield from [(name, SCALE, (SCALE,), None)] if name in scales else []
             return
         eye = next(eye for eye in eyes if eye.shot.camera == name)
         for kind in {POSE, "position"} & {*freed}:
-            yield eye.moving, kind, EYE, eye.rig[:3, 3]
+            yield eye.moving, kind, EYE, eye.rig
         for row, owner in eye.owners.items():
-            yield owner, row, labels_of((row,)), ORIGIN
+            yield owner, row, labels_of((row,)), None
 
     result: list[JointPrior] = []
     for name, given in by_name("prior", prior, cameras, others).items():
         known = _checked(given, [label for _, _, labels, _ in parts(name) for label in labels])
         for label in (label for label in known if label in LABELS and LABELS[label].unit == "px"):
             known[label] = tuple(x / cameras[name].H for x in known[label])
-        for unknown, kind, labels, point in parts(name):
-            result += _prior(unknown, kind, known, labels, point)
+        for unknown, kind, labels, rig in parts(name):
+            result += _prior(unknown, kind, known, labels, rig)
     by_content = {str(prior): prior for prior in result}
     return [*by_content.values()]
 
 
 def _prior(
-    name: str, kind: str, known: Known, labels: Sequence[str], point: np.ndarray = ORIGIN
+    name: str, kind: str, known: Known, labels: Sequence[str], rig: Pose | None = None
 ) -> list[JointPrior]:
     """The prior of an unknown that reports these labels; none where nothing is known of them."""
-    rows = [k for k, label in enumerate(labels) if label in known]
-    if not rows:
+    labels = tuple(label for label in labels if label in known)
+    if not labels:
         return []
-    mean, std = np.array([known[labels[k]] for k in rows]).T
-    return [JointPrior(name, kind, rows, mean, std, point)]
+    mean, std = np.array([known[label] for label in labels]).T
+    return [JointPrior(name, kind, labels, mean, std, rig)]
 
 
 def scales_of(prior: Any, views: Sequence[JointView]) -> dict[str, float]:

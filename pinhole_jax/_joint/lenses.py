@@ -42,7 +42,10 @@ def groups_of(shared: Any, cameras: Mapping[str, Camera]) -> dict[str, list[tupl
         given = {name: [tuple(cameras)] for name in as_names(shared, "shared")}
     first, result = next(iter(cameras.values())), {}
     for name, groups in given.items():
-        for row in check_shared((name,), first):
+        for row in check_free((name,), first):
+            if row not in SHARED:
+                known = ", ".join([*SHARED, "distortion"])
+                raise ValueError(f"`shared`: expected names among {known}, got {row}")
             result[row] = [(group,) if isinstance(group, str) else tuple(group) for group in groups]
             named = [n for group in result[row] for n in group]
             if unknown := [n for n in named if n not in cameras]:
@@ -51,15 +54,6 @@ def groups_of(shared: Any, cameras: Mapping[str, Camera]) -> dict[str, list[tupl
             if len({*named}) < len(named):
                 raise ValueError(f"`shared`: expected each camera in one group of {row}, got more")
     return result
-
-
-def check_shared(shared: tuple[str, ...], camera: Camera) -> tuple[str, ...]:
-    """The names in a fixed order. Raises ValueError for those that cannot be shared."""
-    common = check_free(shared, camera) if shared else ()
-    if not {*common} <= {*SHARED}:
-        known = ", ".join([*SHARED, "distortion"])
-        raise ValueError(f"`shared`: expected names among {known}, got {', '.join(common)}")
-    return common
 
 
 def share_means(

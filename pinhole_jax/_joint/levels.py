@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .._fit.places import Free
 from .._rules import RULES
 from .._solver.least_squares import Descent
 from .._solver.looks import Sums
@@ -28,12 +27,10 @@ Tell = Callable[[str], None]
 
 
 class Path(NamedTuple):
-    """A descent's end, and the way there from the start (0 steps); directions along which a view's
-    mask tells no difference."""
+    """A descent's end, and the way there from the start (0 steps)."""
 
     descent: Descent
     way: tuple[LevelEnd, ...]
-    free: tuple[Free, ...] = ()
 
     @property
     def steps(self) -> tuple[int, ...]:
@@ -47,7 +44,7 @@ class Path(NamedTuple):
 
     def then(self, further: "Path") -> "Path":
         """A further descent, with the steps of both."""
-        return further._replace(way=self.way + further.way[1:], free=self.free)
+        return further._replace(way=self.way + further.way[1:])
 
 
 def descend(

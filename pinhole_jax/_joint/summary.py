@@ -29,10 +29,8 @@ from .estimates import (
     Estimates,
     camera_estimates,
     concatenate,
+    estimates_of,
     forget,
-    number_estimate,
-    object_estimates,
-    pose_estimates,
 )
 from .joint_fit import JointFit, JointZeros, ObjectFit, SceneScale, ViewFit
 from .levels import Outcome
@@ -61,7 +59,7 @@ def report(end: Outcome, free: Mapping[str, Sequence[Free]]) -> JointFit:
     objects = {
         name: ObjectFit(
             pose=state.poses[name],
-            covariance=found.covariance_of(object_estimates(problem, name, state)),
+            covariance=found.covariance_of(estimates_of(problem, name, POSE, state)),
         )
         for name in problem.objects()
     }
@@ -229,11 +227,11 @@ def _is_explained(found: Agreement, k: int) -> bool:
 
 def _scales(end: Outcome) -> dict[str, SceneScale]:
     problem, found, state = end.problem, end.found, end.found.descent.state
-    poses = {name: object_estimates(problem, name, state) for name in problem.objects()}
-    poses |= {name: pose_estimates(problem, name, state) for name in problem.cameras}
+    poses = {name: estimates_of(problem, name, POSE, state) for name in problem.objects()}
+    poses |= {name: camera_estimates(problem, name, state) for name in problem.cameras}
     result = {}
     for name in problem.named(SCALE):
-        estimates = number_estimate(problem, name, SCALE, state)
+        estimates = estimates_of(problem, name, SCALE, state)
         across = {
             owner: found.covariance_of(concatenate([pose, estimates]))[:-1, -1]
             for owner, pose in poses.items()
@@ -251,7 +249,7 @@ def _zeros(found: Agreement) -> JointZeros | None:
     units = {}
     for posture in (eye.shot.posture for eye in problem.eyes):
         units |= {} if posture is None else dict(zip(posture.joints, posture.units, strict=True))
-    estimates = concatenate([number_estimate(problem, name, ZERO, state) for name in names])
+    estimates = concatenate([estimates_of(problem, name, ZERO, state) for name in names])
     return JointZeros(
         names=names,
         values=np.array([state.zeros[name] for name in names]),

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from .._camera.camera import Camera
 from .._camera.poses import at_pose
 from .._fit.implicit import (
     OBJECT,
@@ -22,22 +21,19 @@ from .joint_fit import JointFit
 from .system import JointProblem
 from .views import MOTIONS, JointView, State
 
-#: Cameras, objects' poses and scales, by name.
-Answer = tuple[dict[str, Camera], dict[str, Any], dict[str, Any]]
 
-
-def answer_of(fit: JointFit) -> Answer:
-    """The differentiable part of a joint fit."""
-    return (
-        {name: found.camera for name, found in fit.cameras.items()},
-        {name: found.pose for name, found in fit.objects.items()},
-        {name: found.value for name, found in fit.scales.items()},
-    )
+def answer_of(fit: JointFit) -> list[Any]:
+    """The differentiable part of a joint fit: cameras, objects' poses, scales."""
+    return [
+        *(found.camera for found in fit.cameras.values()),
+        *(found.pose for found in fit.objects.values()),
+        *(found.value for found in fit.scales.values()),
+    ]
 
 
 def velocity(
     fit: JointFit, found: Agreement, views: Sequence[JointView], moving: Sequence[JointView]
-) -> Answer:
+) -> list[Any]:
     """The answer's rate of change, with the views' scenes, targets, weights, mounts and places."""
     problem, state, ends, slopes = found.problem, found.descent.state, [], []
     for k, (view, change) in enumerate(zip(views, moving, strict=True)):
@@ -54,8 +50,11 @@ def velocity(
     for eye, end, step in zip(problem.eyes, ends, steps_of(slopes), strict=True):
         shot, rates = eye.shot, velocity_of(end.vantage, step)
         cameras[shot.camera], places[shot.object], scales[shot.scale] = rates
-    pick = lambda rates, names: {name: rates[name] for name in names}
-    return pick(cameras, fit.cameras), pick(places, fit.objects), pick(scales, fit.scales)
+    return [
+        *(cameras[name] for name in fit.cameras),
+        *(places[name] for name in fit.objects),
+        *(scales[name] for name in fit.scales),
+    ]
 
 
 def _vantage_of(problem: JointProblem, k: int, state: State) -> Vantage:

@@ -22,7 +22,7 @@ from .._numerics.arrays import ArrayLike, Input
 from .._scene.assembly import Posture
 from .._scene.scene import Scene
 from .._solver.looks import View
-from .._solver.parameters import PARAMETERS, components, labels_of
+from .._solver.parameters import PARAMETERS, components
 from .._solver.solver import Solver
 from .._solver.subject import Subject
 
@@ -185,12 +185,11 @@ class Eye:
     def by_twist(self, state: State, view: View) -> np.ndarray:
         """Moves of the view's own camera (n, 6), in its solver's units, by a twist of it in the
         world: whatever the scale of its scene."""
-        freed, rotation = self.solver.freed, self.pose(state)[:3, :3]
-        of_pose = np.array([name in _POSE for name in components(freed)])
-        reported = np.array([label in _REPORTED for label in labels_of(freed)])
-        by_moves = np.asarray(view.to_reported, float)[np.ix_(reported, of_pose)]
-        result = np.zeros((len(of_pose), TWIST))
-        result[of_pose] = np.linalg.solve(by_moves, reported_twist(rotation))
+        # (A solver's first moves, and the first numbers that it reports, are those of the pose.)
+        by_moves = np.asarray(view.to_reported, float)
+        result = np.zeros((by_moves.shape[1], TWIST))
+        by_twist = reported_twist(self.pose(state)[:3, :3])
+        result[:TWIST] = np.linalg.solve(by_moves[:TWIST, :TWIST], by_twist)
         result[:, 3:] /= self.scale(state)
         return result
 
@@ -232,7 +231,7 @@ class Eye:
         result, bounds, kind = np.zeros(unknown.size), self.solver.bounds, unknown.kind
         if bounds is None or kind not in self.ended(state):
             return result
-        bound, k = bounds.labels.index(kind), labels_of(self.solver.freed).index(kind)
+        bound, (k,) = bounds.labels.index(kind), _places(self.solver.freed, kind)
         middle = float(bounds.low[bound] + bounds.high[bound]) / 2
         value = float(PARAMETERS[kind].leaves[0].of(state.lenses[self.shot.camera]))
         result[:] = np.sign(np.asarray(view.to_reported)[k, k]) * (1 if value > middle else -1)
@@ -253,28 +252,25 @@ def stretched(pose: Pose, times: float) -> Pose:
     return rigid(pose[:3, :3], times * pose[:3, 3])
 
 
-def reported_twist(rotation: np.ndarray) -> np.ndarray:
-    """Reported pose parameters (6, 6) by a twist of a camera of this rotation."""
+def reported_twist(rotation: np.ndarray, axes: np.ndarray = TO_B) -> np.ndarray:
+    """Reported pose parameters (6, 6), turns about `axes`, by a twist of a pose."""
     result = np.zeros((TWIST, TWIST))
-    result[:3, :3], result[3:, 3:] = TO_B, rotation
+    result[:3, :3], result[3:, 3:] = axes, rotation
     return result
 
 
-_POSE = frozenset(components((POSE,)))
-_REPORTED = labels_of((POSE,))
-
-
 def _places(freed: tuple[str, ...], kind: str) -> np.ndarray:
-    """Indices of a parameter's moves among those that names free."""
+    """Indices of a parameter's moves, and of its reported numbers, among those of the free names:
+    there are as many of both."""
     begin = len(components(freed[: freed.index(kind)]))
     return begin + np.arange(len(components((kind,))))
 
 
 def lens_reported(view: View, freed: tuple[str, ...], kind: str) -> np.ndarray:
     """Reported values of a lens's parameter (film coordinates in film heights) by its moves."""
-    moves, begin = _places(freed, kind), labels_of(freed).index(labels_of((kind,))[0])
-    rows = np.array(view.to_reported, float)[begin : begin + len(moves)]
-    return rows[:, moves] / np.asarray(view.scale, float)[moves]
+    place = _places(freed, kind)
+    rows = np.asarray(view.to_reported, float)[np.ix_(place, place)]
+    return rows / np.asarray(view.scale, float)[place]
 
 
 def stepped(state: State, unknowns: list[Unknown], x: np.ndarray, eyes: Sequence[Eye]) -> State:
