@@ -94,12 +94,12 @@ def _words(problem: JointProblem, direction: np.ndarray) -> list[str]:
     sizes: dict[str, float] = {}
     for unknown in problem.unknowns:
         part = direction[problem.place(unknown.name, unknown.kind)]
-        words = {unknown.kind: part}
+        parts = {unknown.kind: part}
         if unknown.kind in MOTIONS:
-            words = {"turn": part[:3], "place": part[3:]}
+            parts = {"turn": part[:3], "place": part[3:]}
         if unknown.kind == "position":
-            words = {"place": part}
-        for word, numbers in words.items():
+            parts = {"place": part}
+        for word, numbers in parts.items():
             sizes[f"the {word} of {unknown.name}"] = float(np.linalg.norm(numbers))
     chief = sorted((w for w in sizes if sizes[w] > CHIEF), key=lambda w: -sizes[w])
     return chief or ["a mixture of all unknowns"]
