@@ -22,53 +22,40 @@ class Rules:
     #: Edges are wide if this share of the pixels between 0 and 1 lies in runs of 3 and more both
     #: ways. (Exact coverage: 0 to 0.01, blurs of 0.3 and 0.5 px: 0.01 to 0.18 and 0.98.)
     wide_share: float = 0.3
-    #: Noise whose fourth moment is above this many squares of its second is not the same
-    #: everywhere (Gaussian: 3; what JPEG leaves: tens).
-    uneven: float = 8.0
     #: A hard edge leaves at most this mean square in a pixel of the outline (1/12 on average).
     hard: float = 0.1
     #: A right camera leaves at most this many times the variance, or standard errors more than
-    #: that on average; a proposal that leaves more, beside another one, is followed no further.
+    #: that on average; a proposal that leaves more, beside another one, is followed no further. At
+    #: first pixels count within this many times `outlier_px`: what was pulled away comes back.
     times: float = 4.0
 
     # Which cameras are proposed
 
     #: Views all over the sphere that a search compares with the mask (11 degrees apart).
     views: int = 400
-    #: How many likely views are descended from, how many of their ends are followed to finer
-    #: levels, and how many turns that look alike are tried.
+    #: How many likely views, and turns that look alike, are descended from, and how many of their
+    #: ends are followed to finer levels.
     tried: int = 16
     followed: int = 8
-    turns: int = 24
     #: Steps from a proposal, before it is compared with others.
     steps: int = 10
-    #: Cameras farther apart are different proposals; twice as far, different axes.
-    apart: float = np.deg2rad(15)
     #: Cameras closer than this are one.
     same: float = np.deg2rad(0.5)
     #: Where the focal length is free a search tries this much more and less of it, too.
     focal_factor: float = 1.5
     #: Below this intersection over union a camera sees something else than the mask.
     overlap: float = 0.5
-    #: The standard error of a start. Four of these away, a start rules a camera out.
+    #: The standard error of a start. Cameras farther apart are different proposals; four of these
+    #: away, a start rules a camera out.
     start: float = np.deg2rad(15)
     #: A mask that leaves less than this mean square in a pixel of the outline has no outliers.
     exact: float = 0.01
-    #: Sums of squares that differ by less than this share are equal, where a mask's kind does not
-    #: say how large they should be.
-    equal: float = 0.05
 
     # Where else the mask fits as well
 
-    #: The first stride along a turn or shift that hardly shows; six more, each twice as far.
-    stride: float = np.deg2rad(1.5)
-    #: A turn or shift that shows less than this share of the best-seen one is walked along; less
-    #: than `doubtful` where no other is.
+    #: A turn or shift that shows less than this share of the best-seen one is walked along.
     weak: float = 0.03
-    doubtful: float = 0.2
-    #: Places differ if they are more standard errors apart ...
-    sigmas: float = 1.5
-    #: ... and leave less than this share of what the Jacobian foretells so far away.
+    #: Places there are others if they leave less than this share of what the Jacobian foretells.
     foretold: float = 0.5
     #: Squares that differ by less than this many variances are equal: 5.5 standard errors.
     equal_times: float = 30.0
@@ -82,10 +69,9 @@ class Rules:
 
     # How a mask's edge errs, and what of it is believed
 
-    #: An edge is taken by about this many stretches, each of at least `stretch` px. (Of 95 %
-    #: intervals 94 % held with 48 or 60, 91 % with 80 or 100.)
+    #: An edge is taken by about this many stretches. (Of 95 % intervals 94 % held with 48 or 60,
+    #: 91 % with 80 or 100.)
     stretches: int = 60
-    stretch: float = 2.0
     #: Hypotheses on its errors: sizes and lengths (px), and the share of their variance that is
     #: each stretch's own. (Twice as fine grids gave the same intervals.)
     sizes: tuple[float, ...] = (0.08, 0.2, 0.5, 1.2, 3.0)
@@ -104,36 +90,26 @@ class Rules:
     #: Quantisation's variance, beside that of pixels which err independently: straight edges that
     #: nearly follow the rows err alike. (Of 48 masks of one bit all are told with 2, 40 with 1.)
     alike: float = 2.0
-    #: The standard deviation of a gross error, and over which length it is smooth (shares of the
-    #: object's size); its own roughness (px).
+    #: The standard deviation of a gross error, and over which length it is smooth (shares of
+    #: the size of the object), to a pixel.
     gross: float = 0.4
     smooth: float = 0.25
-    rough: float = 1.0
     #: Pixels count within this many sizes of the errors; outline has an edge beside it there.
     within: float = 2.5
-    #: What is so near an edge (px) may be of it.
-    beside: float = 3.0
-    #: At first pixels count within this many times `outlier_px`: what was pulled away comes back.
-    wide: float = 4.0
     #: Beside an edge that is not believed this much does not count (in sizes of the object).
     room: float = 0.1
-    #: Less of an edge, of a curve or of the usual weight is too little to tell anything.
+    #: Less of an edge, of a curve or of the usual weight is too little to tell anything; more of an
+    #: edge that is not believed leaves room for other views, if no start rules them out. (Of 200
+    #: wrong masks one: a bracket with a fifth cut off, seen from 120 degrees away.)
     small: float = 0.2
-    #: Less of an edge or outline is no matter ...
-    little: float = 0.02
-    #: ... this much that is missing may be hidden ...
-    hidden: float = 0.05
-    #: ... more that no occluder explains is a misfit ...
+    #: Less of an edge, outline or sum of squares is no matter; more that is missing may be hidden.
+    little: float = 0.05
+    #: More of an edge or outline that no occluder explains is a misfit.
     astray: float = 0.1
-    #: ... and more that is not believed leaves room for other views, if no start rules them out.
-    #: (Of 200 wrong masks one: a bracket with a fifth cut off, seen from 120 degrees away.)
-    doubted: float = 0.25
     #: While cameras are refined, those are left whose logarithm is less by this.
     hopeless: float = 60.0
-    #: How far, in standard errors, a drawn mask's profile is looked at, and how many times wider
-    #: than the Jacobian's an interval is to count.
+    #: How far, in standard errors, a drawn mask's profile is looked at.
     profile: tuple[float, ...] = (2.0, 5.0)
-    wider: float = 1.3
 
     # What stands in front of the object
 
@@ -143,9 +119,6 @@ class Rules:
     #: An edge is close to an outline within this share of the object's size. (As far as first steps
     #: let it count everything is near: of 136 guesses the right ones would be 55th and 56th.)
     close: float = 0.02
-    #: How many steps bring an edge to an outline; after each two as many proposals go on.
-    descent: int = 20
-    rounds: tuple[int, ...] = (32, 12, 6)
 
     @property
     def too_far(self) -> float:
@@ -155,7 +128,22 @@ class Rules:
     @property
     def strides(self) -> np.ndarray:
         """How far walks go to either side (rad, at the object's radius)."""
-        return self.stride * 2.0 ** np.arange(7)
+        return 3 * self.same * 2.0 ** np.arange(7)
+
+    @property
+    def stretch(self) -> float:
+        """The length (px) of the shortest stretch: a third of what the errors reach at least."""
+        return self.lengths[0] / 3
+
+    @property
+    def beside(self) -> float:
+        """What is so near an edge (px) errs with it: half of what the errors reach at least."""
+        return self.lengths[0] / 2
+
+    @property
+    def rounds(self) -> tuple[int, int, int]:
+        """How many proposals of an occluded object go on, after each two steps."""
+        return 2 * self.tried, self.tried, self.followed
 
     @property
     def drawn_times(self) -> float:

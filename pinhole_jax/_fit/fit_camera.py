@@ -338,7 +338,7 @@ def _fit_of(
     if note is not None:
         fit = fit._replace(weak=(*fit.weak, note))
     if edge is not None and best.account is not None:
-        alone = from_anywhere and best.account.unbelieved(edge) > RULES.doubted
+        alone = from_anywhere and best.account.unbelieved(edge) > RULES.small
         fit = with_unbelieved(fit, *best.account.words(edge, mask.camera.H), alone)
     turns = [f.axis for f in free if f.axis is not None and np.isinf(f.ahead)]
     return with_modes(fit, other_places(fit, others, turns))

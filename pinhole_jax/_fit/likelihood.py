@@ -126,10 +126,10 @@ def _explained(
         fine = ~gross
         offsets = Offsets(at[fine], blocks.length[fine], offset[fine], by_move[fine])
         errors = weigh(offsets, quantisation, roughly)
-        # As dense as what lies about a smooth curve within `ROUGH_PX`.
-        log = errors.log - np.sum(gross) * (0.5 + np.log(RULES.rough))
+        # As dense as what lies about a smooth curve within a pixel.
+        log = errors.log - np.sum(gross) / 2
         runs = np.count_nonzero(gross != np.roll(gross, 1)) / 2
-        log -= 2 * ends * runs + _price(np.sum(blocks.length[gross]), runs, edge.size, RULES.rough)
+        log -= 2 * ends * runs + _price(np.sum(blocks.length[gross]), runs, edge.size, 1.0)
         return _Segmentation(float(log), errors, gross)
 
     size = np.hypot(RULES.sizes, quantisation**0.5)[:, None]

@@ -116,7 +116,7 @@ def _worth_a_walk(solver: Solver, best: Solution) -> list[_Direction]:
     other = _nearly_free(solver, best) or _doubtful(solver, best)
     if len(round_about) == 1:
         axis = solver.subject.alike.lines[0].axis
-        other = [d for d in other if d.axis is None or abs(d.axis @ axis) < np.cos(2 * RULES.apart)]
+        other = [d for d in other if d.axis is None or abs(d.axis @ axis) < np.cos(2 * RULES.start)]
     elif any(d.axis is not None for d in other):
         return other
     return other + round_about
@@ -139,14 +139,14 @@ def interval(solver: Solver, best: Solution, errors: OutlineErrors | None) -> li
     widest, least = Free(np.zeros(len(turns)), 0.0, 0.0, None), solver.look(best.camera).squares
     for direction in about[-2:]:
         away = np.array(RULES.profile) * direction.sigma
-        for far in np.unique(np.clip(away, RULES.same, 2 * RULES.apart)):
+        for far in np.unique(np.clip(away, RULES.same, 2 * RULES.start)):
             for side in (far, -far):
                 place, squares = _best_turned(solver, best, side * direction.move, least)
                 odds = errors.independent * np.log(max(squares / max(least, 1e-300), 1.0))
                 turn = turned_by(best.camera, place)
                 size = float(np.linalg.norm(turn))
                 open_by = size / max(odds, 0.5) ** 0.5
-                enough = max(RULES.wider * direction.sigma, widest.ahead)
+                enough = max(direction.sigma, widest.ahead)
                 if np.isfinite(squares) and open_by > enough:
                     widest = Free(np.zeros(len(turns)), open_by, open_by, turn / size)
     if widest.axis is None:
@@ -256,7 +256,7 @@ def _doubtful(solver: Solver, found: Solution) -> list[_Direction]:
     just about to show, the mask says more on one side than the Jacobian does."""
     kind = solver.kind
     sharp = kind.exact and not kind.spread and found.view.touched_misfit <= kind.most
-    return [] if sharp else _nearly_free(solver, found, RULES.doubtful)[-1:]
+    return [] if sharp else _nearly_free(solver, found, RULES.small)[-1:]
 
 
 def _radian(solver: Solver, found: Solution) -> float:
@@ -308,7 +308,7 @@ def _around(solver: Solver, best: Solution, line: Revolution) -> list[Solution]:
     places, worse = [], 0
     # (The golden ratio: where many are as good as one another, some all round.)
     order = np.lexsort((np.arange(count) * 0.618034 % 1, surplus))
-    likely = [cameras[k] for k in order[lower[order]][: RULES.turns]]
+    likely = [cameras[k] for k in order[lower[order]][: RULES.tried]]
     for place in _led_to(solver, best, likely):
         places += [] if place is None else [place]
         worse += place is None or not equal_views(solver, place.view, best.view)
@@ -372,7 +372,7 @@ def _as_good(
     directions."""
     directions = [transported(solver, best, d) for d in directions]
     sigma = max(min(d.sigma for d in directions), 1e-12)
-    apart = max(RULES.same, RULES.sigmas * sigma)
+    apart = max(RULES.same, sigma)
     exact = solver.kind.exact and solver.kind.explains(best.view.touched_misfit, True)
 
     def others(places: list[Solution]) -> list[Solution]:
@@ -420,7 +420,7 @@ def _intervals(
         if reached:
             # What was looked at next, and is forbidden, bounds the interval: strides double, all
             # round a line they are equal.
-            times, least = (2, RULES.stride / 2) if d.line is None else (1.1, RULES.uncertain)
+            times, least = (2, RULES.strides[0] / 2) if d.line is None else (1.1, RULES.uncertain)
             behind, ahead = (times * max(*(s * x for x in reached), least) for s in (-1, 1))
             if behind + ahead > 1.05 * np.pi:
                 behind = ahead = np.inf

@@ -86,7 +86,7 @@ class Refiner:
                 return None
         alone = said is not None and not np.any(gross) and said.missing == 0
         if not alone:
-            wide = self.solver.weighed(self._weights(RULES.wide, gross), only_finest=True)
+            wide = self.solver.weighed(self._weights(RULES.times, gross), only_finest=True)
             found = onward(found, wide.solve(found.camera, [wide.finest], fine_px=COARSE_PX))
             said = self.account(found.camera, roughly=True)
             if said is not None:
@@ -95,7 +95,7 @@ class Refiner:
                     return None
         reach = 1.0 if said is None else RULES.within * said.size / self.outlier_px
         near = self.solver.weighed(
-            self._weights(float(np.clip(reach, 1, RULES.wide)), gross), only_finest=True
+            self._weights(float(np.clip(reach, 1, RULES.times)), gross), only_finest=True
         )
         px = FINE_PX[near.dtype]
         found = onward(found, near.solve(found.camera, [near.finest], fine_px=px))
@@ -107,7 +107,7 @@ class Refiner:
                 said = self.account(found.camera)
         wide = self.solver
         if np.any(gross):
-            wide = self.solver.weighed(self._weights(RULES.wide, gross))
+            wide = self.solver.weighed(self._weights(RULES.times, gross))
         whole = self.solver.look(found.camera, self.solver.finest)
         return Candidate(found, whole, said, near, wide)
 
@@ -126,7 +126,7 @@ class Refiner:
         if said is None:
             return False
         astray = max(said.hidden(self.edge, RULES.small), said.missing)
-        return astray > RULES.hidden or said.size > self.outlier_px
+        return astray > RULES.little or said.size > self.outlier_px
 
 
 def likeliest(candidates: Sequence[Candidate], alike: int, start: Camera | None) -> list[Candidate]:

@@ -168,7 +168,7 @@ def searched(solver: Solver, mask: Mask, on_stop: OnStop, rounds: int) -> list[S
             longer = mask.longer((1.0, RULES.focal_factor, 1 / RULES.focal_factor)[n])
             source = guesses(longer, solver.subject.from_afar, solver.subject.ball)
         source, likely = tee(source)
-        apart = RULES.apart / (1 if free else 2**n)
+        apart = RULES.start / (1 if free else 2**n)
         found = _one_of_each([*found, *_followed(solver, likely, apart, on_stop)], solver.freed)
         if is_explained(solver, found[0].view):
             break
@@ -226,7 +226,7 @@ def _followed(
 def equally_good(solver: Solver, found: list[Solution]) -> list[Solution]:
     """The cameras that explain the mask as well as the first, the best, does."""
     best = found[0].view
-    share = 0.0 if solver.kind.exact else RULES.equal
+    share = 0.0 if solver.kind.exact else RULES.little
     return [
         f
         for f in found
@@ -248,7 +248,7 @@ def to_the_end(solver: Solver, found: list[Solution]) -> list[Solution]:
 
 def free_about(solver: Solver, found: Solution, places: Places) -> list[Free]:
     """The free directions of a camera, one of some places or a rival of these."""
-    if separation(solver, found.camera, places.best.camera) > RULES.apart:
+    if separation(solver, found.camera, places.best.camera) > RULES.start:
         return settled(solver, found).free
     return places.free
 

@@ -289,18 +289,18 @@ def _search_together(pose: LonePose, state: State, tell: Tell) -> list[Path]:
 
     tried.sort(key=squares)
     paths = []
-    for begin in _apart(few, tried, RULES.apart)[: 2 * FOLLOWED]:
+    for begin in _apart(few, tried, RULES.start)[: 2 * FOLLOWED]:
         there = coarsest.descend(begin, FIRST_STEPS, ROUGH_PX)
         ends = LevelEnd(begin, few.levels, 0), LevelEnd(there.state, few.levels, there.steps)
         paths.append(Path(there, ends))
     paths.sort(key=lambda path: path.squares)
-    paths = _apart(few, paths, RULES.apart)[:FOLLOWED]
+    paths = _apart(few, paths, RULES.start)[:FOLLOWED]
     for level in range(few.levels, 0, -1):
         # (All views are looked at where few states are left.)
         part = few if level > 2 else problem
         paths = [p.then(descend(part, p.descent.state, tell, [level])) for p in paths]
         paths.sort(key=lambda p: p.squares)
-        most = (RULES.times if level > 1 else 1 + RULES.equal) * paths[0].squares
+        most = (RULES.times if level > 1 else 1 + RULES.little) * paths[0].squares
         best, *others = _apart(problem, paths, RULES.same)
         paths = [best, *(p for p in others if p.squares <= most)]
     return paths
@@ -311,7 +311,7 @@ def _best_paths(problem: JointProblem, paths: list[Path]) -> list[Path]:
     first does as well; each once."""
     least = min(path.squares for path in paths)
     noise = sum(RULES.equal_times * eye.solver.kind.variance for eye in problem.eyes)
-    good = [p for p in paths if p.squares <= (1 + RULES.equal) * least + noise] or paths[:1]
+    good = [p for p in paths if p.squares <= (1 + RULES.little) * least + noise] or paths[:1]
     if good[0] is not paths[0]:
         good.sort(key=lambda p: p.squares)
     return _apart(problem, good, RULES.same)
@@ -340,7 +340,7 @@ def _guesses(problem: JointProblem, name: str, state: State) -> list[State]:
         for guess in guesses(eye.mask, eye.solver.subject.scene, eye.solver.subject.ball):
             if len(seen) == TRIED:
                 break
-            if all(angle(guess, other) > RULES.apart for other in seen):
+            if all(angle(guess, other) > RULES.start for other in seen):
                 seen.append(guess)
                 result.append(eye.with_camera(name, canonical(guess), state))
     return result

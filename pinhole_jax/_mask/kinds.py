@@ -178,7 +178,7 @@ def _noise_far_from_edges(
     beside = int(np.count_nonzero(weight))
     number = counted(weights) - beside
     mean = float(np.sum(squares)) / number
-    even = float(np.sum(squares**2)) / number < RULES.uneven * mean**2
+    even = float(np.sum(squares**2)) / number < 2 * RULES.times * mean**2
     clipped = np.all(off[nearest > 0] <= 0) and np.all(off[nearest <= 0] >= 0)
     weighted = away.weight * squares
     far = float(np.sum(weighted)) / number
