@@ -33,8 +33,8 @@ class Rules:
 
     #: Views all over the sphere that a search compares with the mask (11 degrees apart).
     views: int = 400
-    #: How many likely views, and turns that look alike, are descended from, and how many of their
-    #: ends are followed to finer levels.
+    #: How many likely views are descended from, and how many of their ends are followed to finer
+    #: levels.
     tried: int = 16
     followed: int = 8
     #: Steps from a proposal, before it is compared with others.
@@ -55,7 +55,7 @@ class Rules:
 
     #: A turn or shift that shows less than this share of the best-seen one is walked along.
     weak: float = 0.03
-    #: Places there are others if they leave less than this share of what the Jacobian foretells.
+    #: Places there are others if they leave less than this share of the squares foretold there.
     foretold: float = 0.5
     #: Squares that differ by less than this many variances are equal: 5.5 standard errors.
     equal_times: float = 30.0
@@ -139,6 +139,11 @@ class Rules:
     def beside(self) -> float:
         """What is so near an edge (px) errs with it: half of what the errors reach at least."""
         return self.lengths[0] / 2
+
+    @property
+    def turns(self) -> int:
+        """How many turns that look alike are tried."""
+        return 3 * self.followed
 
     @property
     def rounds(self) -> tuple[int, int, int]:

@@ -308,7 +308,7 @@ def _around(solver: Solver, best: Solution, line: Revolution) -> list[Solution]:
     places, worse = [], 0
     # (The golden ratio: where many are as good as one another, some all round.)
     order = np.lexsort((np.arange(count) * 0.618034 % 1, surplus))
-    likely = [cameras[k] for k in order[lower[order]][: RULES.tried]]
+    likely = [cameras[k] for k in order[lower[order]][: RULES.turns]]
     for place in _led_to(solver, best, likely):
         places += [] if place is None else [place]
         worse += place is None or not equal_views(solver, place.view, best.view)
