@@ -101,7 +101,7 @@ class Rules:
     #: Less of an edge, of a curve or of the usual weight is too little to tell anything; more of an
     #: edge that is not believed leaves room for other views, if no start rules them out. (Of 200
     #: wrong masks one: a bracket with a fifth cut off, seen from 120 degrees away.)
-    small: float = 0.2
+    small: float = 0.25
     #: Less of an edge, outline or sum of squares is no matter; more that is missing may be hidden.
     little: float = 0.05
     #: More of an edge or outline that no occluder explains is a misfit.
