@@ -80,7 +80,7 @@ class Rules:
     #: The bias's standard deviation, in sizes of the other errors and in px beside that, and how
     #: likely it is: segmenters are off by as much as they waver, grown or shrunk masks by more.
     biases: tuple[tuple[float, float, float], ...] = ((1.0, 0.5, 0.8), (2.0, 2.5, 0.2))
-    #: What is so likely is sure: that a mask is computed, or drawn, or a camera not the other one.
+    #: What is this likely is sure: that a mask is computed, or drawn, or a camera not the other one.
     sure: float = 0.99
     #: The share of a computed mask's pixels beside the outline on its wrong side: those whose
     #: coverage differs by more than `wrong_side`. (Of 72 masks one had one, of 196; shrunk or
@@ -132,12 +132,12 @@ class Rules:
 
     @property
     def stretch(self) -> float:
-        """The length (px) of the shortest stretch: a third of what the errors reach at least."""
+        """The length (px) of the shortest stretch: a third of the shortest length of errors."""
         return self.lengths[0] / 3
 
     @property
     def beside(self) -> float:
-        """What is so near an edge (px) errs with it: half of what the errors reach at least."""
+        """How near an edge (px) errors are its own: half of their shortest length."""
         return self.lengths[0] / 2
 
     @property
