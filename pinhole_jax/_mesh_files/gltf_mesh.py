@@ -37,9 +37,9 @@ def read_gltf_mesh(data: bytes, file: Path) -> Polygons:
     Raises ValueError, which names the field, for features that are not read.
     """
     top, binary = parse_gltf(data, file)
-    version = top.part("asset").text("version") if "asset" in top else "2.0"
-    if not version.startswith("2."):
-        raise top.wrong("asset.version", "2.0", version)
+    asset = top.part("asset") if "asset" in top else top
+    if not (version := str(asset.data.get("version", "2.0"))).startswith("2."):
+        raise asset.wrong("version", "2.0", version)
     for name in top.data.get("extensionsRequired", ()):
         if not str(name).startswith(NO_SHAPE):
             raise top.wrong("extensionsRequired", "extensions that are read here", str(name))

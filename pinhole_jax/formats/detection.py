@@ -35,12 +35,16 @@ AXES: dict[str, np.ndarray] = {
 LABELS = ("axes", "direction", "pixel_centres", "fov_axis")
 #: First look: the longer side, px; not worth a program of its own up to the second number.
 COARSE_PX, FULL_PX = 96, 320
-#: How many readings get a second look.
-KEPT = 36
+#: How many poses get a second look.
+KEPT = 6
 #: A mask decides between two hypotheses where, of the pixels that differ, the target takes
 #: one's side in this share, and in more than chance would by this many standard deviations.
 SHARE = 0.6
 SIGMAS = 4.0
+
+
+#: Two of `LABELS`: what a reading of a pose, or of intrinsics, is called.
+Words = tuple[str, str]
 
 
 class Hypothesis(NamedTuple):
@@ -120,14 +124,15 @@ def detect(
     if not 0 < target.sum() < target.size:
         raise ValueError("`mask`: expected one that covers some pixels, got none or all")
     H, W = target.shape
+    views = _views(W, H, K, focal_px, fov)
+    poses = _promising(scene, target, [*_poses(pose)], views)
     readings = [
-        Convention((*words, *more), view, place)
-        for (words, place), (more, view) in product(_poses(pose), _views(W, H, K, focal_px, fov))
+        Convention((*words, *more), view, place) for words, place in poses for more, view in views
     ]
     is_hard = bool(np.all((target == 0) | (target == 1)))
     ranked = []
-    for group in _alike(_promising(scene, target, readings)):
-        camera = _camera(group[0])
+    for group in _alike(readings):
+        camera = _camera(*group[0][1:])
         image = np.asarray(silhouette(camera, scene, overlaps=False), float)
         inside = image > 0.5
         columns = zip(*(reading.words for reading in group), strict=True)
@@ -149,7 +154,7 @@ class Convention(NamedTuple):
 
 def _views(
     W: int, H: int, K: ArrayLike | None, focal_px: ArrayLike | None, fov: ArrayLike | None
-) -> list[tuple[tuple[str, str], Pinhole]]:
+) -> list[tuple[Words, Pinhole]]:
     """Return every reading of the intrinsics: pixel centres, axis of the field of view."""
     given = {"K": K, "focal_px": focal_px, "fov": fov}
     data = {name: value for name, value in given.items() if value is not None}
@@ -175,7 +180,7 @@ def _views(
     ]
 
 
-def _poses(pose: ArrayLike) -> Iterator[tuple[tuple[str, str], Pose]]:
+def _poses(pose: ArrayLike) -> Iterator[tuple[Words, Pose]]:
     """Yield every reading of the pose: axes, direction."""
     fields = Fields({"pose": pose}, "the arguments")
     shape = fields.shape("pose")
@@ -191,15 +196,20 @@ def _poses(pose: ArrayLike) -> Iterator[tuple[tuple[str, str], Pose]]:
         yield (axes, "world_from_camera" + words), transform @ frame
 
 
-def _camera(reading: Convention) -> Camera:
+def _camera(view: Pinhole, pose: Pose) -> Camera:
     """Return the camera with a lens, needed or not: then one compiled program serves all."""
     where = Fields({}, "the arguments")
-    camera = camera_from_pinhole(reading.view, reading.world_from_camera, OPENCV, where)
+    camera = camera_from_pinhole(view, pose, OPENCV, where)
     return camera.replace(lens=camera.lens or Lens([camera.W / 2, camera.H / 2]))
 
 
-def _promising(scene: Scene, target: np.ndarray, readings: list[Convention]) -> list[Convention]:
-    """Return the readings that explain a small image of the target best."""
+def _promising(
+    scene: Scene,
+    target: np.ndarray,
+    poses: list[tuple[Words, Pose]],
+    views: list[tuple[Words, Pinhole]],
+) -> list[tuple[Words, Pose]]:
+    """Return the poses that explain a small image of the target best, with any intrinsics."""
     from PIL import Image
 
     H, W = target.shape
@@ -208,13 +218,14 @@ def _promising(scene: Scene, target: np.ndarray, readings: list[Convention]) -> 
     picture = Image.fromarray(target.astype(np.float32))
     small = np.asarray(picture.resize(size, Image.Resampling.BOX), float)
 
-    def agreement(reading: Convention) -> float:
-        camera = resized(_camera(reading), *size)
+    def agreement(view: Pinhole, pose: Pose) -> float:
+        camera = resized(_camera(view, pose), *size)
         return _iou(np.asarray(silhouette(camera, scene, overlaps=False), float), small)
 
-    ious = np.array([agreement(reading) for reading in readings])
-    least = max(0.5 * np.max(ious), np.sort(ious)[-KEPT:][0])
-    return [reading for reading, iou in zip(readings, ious, strict=True) if iou >= least]
+    halves = [view for (centres, _), view in views if centres == "half"]  # too fine to see here
+    best = np.array([max(agreement(view, pose) for view in halves) for _, pose in poses])
+    order = np.argsort(best)[::-1][:KEPT]
+    return [poses[k] for k in order if best[k] >= 0.5 * best[order[0]]]
 
 
 def _iou(image: np.ndarray, target: np.ndarray) -> float:
