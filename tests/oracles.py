@@ -127,7 +127,10 @@ def drawn(camera: pj.Camera, scene: pj.Scene) -> np.ndarray:
     if scene.mesh is None or scene.spheres is not None or (lens and lens.distortion is not None):
         return np.asarray(pj.silhouette(camera, scene))
     polygons = mesh_polygons(camera, scene.mesh.vertices, scene.mesh.faces)
-    return area_per_pixel(shapely.union_all(polygons), camera.W, camera.H)
+    try:
+        return area_per_pixel(shapely.union_all(polygons), camera.W, camera.H)
+    except shapely.GEOSException:  # where edges nearly agree
+        return union_per_pixel(polygons, camera.W, camera.H)
 
 
 def rim(eye, center, radius, corners: int) -> np.ndarray:
