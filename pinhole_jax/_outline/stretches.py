@@ -1,6 +1,5 @@
 """Stretches of a view's outline, and how far from them the mask's outline lies."""
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -160,12 +159,9 @@ def outline_means(view: View, place: np.ndarray, rows: np.ndarray, reach: int = 
     row, column = (x - reach for x in np.divmod(cells, width))
     seen = (row >= 0) & (row < H) & (column >= 0) & (column < W)
     row, column = np.clip(row, 0, H - 1), np.clip(column, 0, W - 1)
-    slope = np.column_stack(
-        [
-            _difference(lambda x: coverage.lookup(row, x), column, W),
-            _difference(lambda x: coverage.lookup(x, column), row, H),
-        ]
-    )
+    up, right = coverage.growth(row, column)
+    span = lambda x, size: np.maximum(np.minimum(x + 1, size - 1) - np.maximum(x - 1, 0), 1)
+    slope = np.column_stack([right / span(column, W), up / span(row, H)])
     slope *= seen[:, None]
     spread = np.zeros((len(cells), rows.shape[1]))
     spread[own] = rows
@@ -175,20 +171,10 @@ def outline_means(view: View, place: np.ndarray, rows: np.ndarray, reach: int = 
     return OutlineMeans(mean(np.hypot(*slope.T)), slopes, columns)
 
 
-def _difference(at: Callable[[np.ndarray], np.ndarray], place: np.ndarray, size: int) -> np.ndarray:
-    """Return the slope along an axis of a size at places on it, as `np.gradient` has it."""
-    before, after = np.maximum(place - 1, 0), np.minimum(place + 1, size - 1)
-    return (at(after) - at(before)) / np.maximum(after - before, 1)
-
-
 def _stretched(place: np.ndarray, coverage: "Coverage", length: float) -> _Outline:
     """Return pixels (P, 2) of an outline of a length (px) by stretches; both sides of a thin part
     are stretches of their own."""
-    H, W = coverage.shape
-    row, column = place.T
-    at = coverage.lookup
-    up = at(np.minimum(row + 1, H - 1), column) - at(np.maximum(row - 1, 0), column)
-    right = at(row, np.minimum(column + 1, W - 1)) - at(row, np.maximum(column - 1, 0))
+    up, right = coverage.growth(*place.T)
     side = np.round(np.arctan2(up, right) / (np.pi / 2)) % 4
     key = np.column_stack([place // max(RULES.stretch, length / RULES.stretches), side])
     _, stretch = np.unique(key, axis=0, return_inverse=True)
@@ -204,10 +190,7 @@ def _slopes(coverage: "Coverage", place: np.ndarray) -> tuple[np.ndarray, np.nda
     row, column = (place[:, None] + around).reshape(-1, 2).T
     inside = (row >= 0) & (row < H) & (column >= 0) & (column < W)
     row, column = np.divmod(np.unique(row[inside] * W + column[inside]), W)
-    at = lambda r, c: coverage.lookup(np.clip(r, 0, H - 1), np.clip(c, 0, W - 1))
-    up = (at(row + 1, column) - at(row - 1, column)) / 2
-    right = (at(row, column + 1) - at(row, column - 1)) / 2
-    return np.column_stack([row, column]), np.column_stack([up, right])
+    return np.column_stack([row, column]), np.column_stack(coverage.growth(row, column)) / 2
 
 
 def _places(pixels: TouchedPixels, level: Level) -> np.ndarray:
@@ -248,6 +231,14 @@ class Coverage(NamedTuple):
             return np.full(cell.shape, float(self.before))
         touched = (last >= 0) & (self.cell[last] == cell)
         return np.where(touched, self.share[last], self._covered(last, row))
+
+    def growth(self, row: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The coverage above pixels less that below them, and right of them less that left of them;
+        a pixel at the window's end stands for the one that it lacks."""
+        (H, W), at = self.shape, self.lookup
+        up = at(np.minimum(row + 1, H - 1), column) - at(np.maximum(row - 1, 0), column)
+        right = at(row, np.minimum(column + 1, W - 1)) - at(row, np.maximum(column - 1, 0))
+        return up, right
 
     def begins(self, row: np.ndarray, column: np.ndarray) -> np.ndarray:
         """The cover (bool) just before pixels, in their rows."""

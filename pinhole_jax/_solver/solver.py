@@ -226,19 +226,17 @@ class Solver:
         coarse_px: float = COARSE_PX,
         fine_px: float | None = None,
         steps: int | None = None,
-        looks: bool = True,
     ) -> Solution:
         """Return the camera found from level to level, and its view on the last of them.
 
         Steps of `coarse_px`, on the finest level of `fine_px` (None: the fit's own limit), are
-        negligible; at most this many `steps` are taken on a level. Without `looks` the view is
-        differentiated by moves of where the last steps began.
+        negligible; at most this many `steps` are taken on a level.
         """
         most = min(steps or self.max_steps, self.max_steps)
         way, taken = [Stop(camera, self.levels[levels[0]], 0)], []
         self._widen(camera)
         while True:
-            window, end = self.store.window, None
+            window = self.store.window
             for number in levels:
                 if self._weighs_prior():
                     self._heed(self.look(camera, number).touched_misfit)
@@ -257,7 +255,7 @@ class Solver:
                     for passed in stops:
                         on_stop(passed)
             # (What a descent saw last is differentiated by moves of where it began.)
-            view = end if end is not None and not looks else self.look(camera, levels[-1])
+            view = self.look(camera, levels[-1])
             self._widen(camera)
             if self.store.window == window:
                 return Solution(camera, view, tuple(taken), tuple(way), taken[-1] < most)
