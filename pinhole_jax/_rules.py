@@ -80,7 +80,7 @@ class Rules:
     #: The bias's standard deviation, in sizes of the other errors and in px beside that, and how
     #: likely it is: segmenters are off by as much as they waver, grown or shrunk masks by more.
     biases: tuple[tuple[float, float, float], ...] = ((1.0, 0.5, 0.8), (2.0, 2.5, 0.2))
-    #: This likely is sure: that a mask is computed, that it is drawn, that a camera is the only one.
+    #: This likely is sure: that a mask is computed, or drawn, or that no other camera is right.
     sure: float = 0.99
     #: The share of a computed mask's pixels beside the outline on its wrong side: those whose
     #: coverage differs by more than `wrong_side`. (Of 72 masks one had one, of 196; shrunk or
