@@ -21,7 +21,7 @@ PLAIN = pj.Camera([1 / 3, 1.1, 5], [0.1, 0, 0], [0, 1, 0.1], np.sqrt(0.4), 1 / 7
 CAMERA = PLAIN.replace(lens=LENS)
 #: What a file has for other readers.
 WRITTEN_ONLY = {"std", "object_in_camera", "covariance_frame"}
-STEP = {"camera": io.camera_to_dict(PLAIN), "W": 16, "H": 12, "steps": 3}
+STEP = {"camera": io.camera_to_dict(PLAIN), "W": 16, "H": 12, "steps": -1}
 
 
 def fit_of(camera, status="ambiguous", modes=()):
@@ -123,31 +123,32 @@ def test_non_fits_are_not_written(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"schema": "pinhole_jax.fit/9"}, "`schema`: expected one of pinhole_jax.fit/1, got"),
-        ({"status": "fine"}, "`status`: expected one of converged, ambiguous"),
-        ({"dtype": "float16"}, "`dtype`: expected one of float32, float64"),
-        ({"names": "phi"}, "`names`: expected a list of texts, got 'phi'"),
-        ({"names": ["e_x", "phi"]}, r"`covariance`: expected numbers of shape \(2, 2\)"),
-        ({"covariance": [["1"] * 3] * 3}, r"`covariance`: expected numbers of shape \(3, 3\)"),
-        ({"covariance": [[1], 2, True]}, r"`covariance`: expected numbers of shape \(3, 3\)"),
-        ({"rms": "small"}, "`rms`: expected a number, got 'small'"),
-        ({"iou": []}, r"`iou`: expected a number, got \[\]"),
-        ({"steps": [1.5]}, r"`steps`: expected a list of counts, got \[1.5\]"),
-        ({"steps": [-1]}, r"`steps`: expected a list of counts, got \[-1"),
-        ({"modes": [{}]}, "`fit`: expected the field that `save_fit` writes"),
-        ({"history": [{"camera": {}}]}, "`e`: expected a camera's field"),
-        ({"history": [io.camera_to_dict(PLAIN)]}, "`camera`: expected fields with names"),
-        ({"history": [{**STEP, "steps": -1}]}, "`steps`: expected an integer of at least 0"),
-    ],
-)
-def test_wrong_field_is_named(tmp_path, change, message):
-    data = io.fit_to_dict(fit_of(CAMERA))
-    path = tmp_path / "fit.json"
-    path.write_text(json.dumps({**data, "fit": {**data["fit"], **change}}))
-    with refusal(f"{message}.*fit.json.*"):
+#: A field with its new value, and the error.
+WRONG = {
+    'schema = "pinhole_jax.fit/9"': "`schema`: expected one of pinhole_jax.fit/1, got",
+    'status = "fine"': "`status`: expected one of converged, ambiguous",
+    'dtype = "float16"': "`dtype`: expected one of float32, float64",
+    'names = "phi"': "`names`: expected a list of texts, got 'phi'",
+    'names = ["e_x", "phi"]': r"`covariance`: expected numbers of shape \(2, 2\)",
+    'covariance = [["1"]]': r"`covariance`: expected numbers of shape \(3, 3\)",
+    "covariance = [[1], 2, true]": r"`covariance`: expected numbers of shape \(3, 3\)",
+    'rms = "small"': "`rms`: expected a number, got 'small'",
+    "iou = []": r"`iou`: expected a number, got \[\]",
+    "steps = [1.5]": r"`steps`: expected a list of counts, got \[1.5\]",
+    "steps = [-1]": r"`steps`: expected a list of counts, got \[-1",
+    "modes = [{}]": "`fit`: expected the field that `save_fit` writes",
+    'history = [{"camera": {}}]': "`e`: expected a camera's field",
+    'history = [{"W": 3}]': "`camera`: expected fields with names",
+    f"history = [{json.dumps(STEP)}]": "`steps`: expected an integer of at least 0",
+}
+
+
+@pytest.mark.parametrize("change", WRONG)
+def test_wrong_field_is_named(tmp_path, change):
+    data, path = io.fit_to_dict(fit_of(CAMERA)), tmp_path / "fit.json"
+    field, value = change.split(" = ")
+    path.write_text(json.dumps({**data, "fit": {**data["fit"], field: json.loads(value)}}))
+    with refusal(f"{WRONG[change]}.*fit.json.*"):
         io.load_fit(path)
 
 
