@@ -168,7 +168,8 @@ class Vantage(eqx.Module):
             part = step[begin : begin + number_of(kind)]
             begin += number_of(kind)
             if kind in TWISTS:
-                camera = _carried(camera, self.pose, _motion(part, TWISTS[kind]))
+                motion, pose = _motion(part, TWISTS[kind]), jnp.asarray(self.pose)
+                camera = _transformed(camera, pose @ motion @ _inverted(pose))
             elif kind == OBJECT:
                 place = place @ _motion(part, TWISTS["pose"])
             elif kind == SCALE:
@@ -199,22 +200,19 @@ def number_of(kind: str) -> int:
     return sizes[kind] if kind in sizes else len(components((kind,)))
 
 
+def _rigid(turn: Array, shift: Array) -> Array:
+    top = jnp.concatenate([turn, shift[:, None]], axis=1)
+    return jnp.concatenate([top, jnp.asarray([[0, 0, 0, 1]], top.dtype)])
+
+
 def _motion(part: Array, where: slice) -> Array:
     twist = jnp.zeros(6, part.dtype).at[where].set(part)
-    top = jnp.concatenate([rotation(twist[:3]), twist[3:, None]], axis=1)
-    return jnp.concatenate([top, jnp.asarray([[0, 0, 0, 1]], part.dtype)])
+    return _rigid(rotation(twist[:3]), twist[3:])
 
 
 def _inverted(pose: Any) -> Array:
     back = pose[:3, :3].T
-    top = jnp.concatenate([back, -back @ pose[:3, 3:]], axis=1)
-    return jnp.concatenate([top, jnp.asarray([[0, 0, 0, 1]], back.dtype)])
-
-
-def _carried(camera: Camera, pose: Any, motion: Array) -> Camera:
-    """A camera moved with a pose by a motion in that frame."""
-    pose = jnp.asarray(pose)
-    return _transformed(camera, pose @ motion @ _inverted(pose))
+    return _rigid(back, -back @ pose[:3, 3])
 
 
 def _transformed(camera: Camera, by: Array, scale: Any = 1.0) -> Camera:
