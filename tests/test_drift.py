@@ -125,6 +125,27 @@ def test_fit_without_pose_is_refused():
         pj.drift(fit_of(CAMERA, np.eye(1), ("phi",)), CAMERA)
 
 
+def test_modes_that_the_noise_does_not_tell_apart_are_one():
+    """One standard error away is the same place, ten are another one; told twice, it is one."""
+    covariance = np.diag(np.full(7, 0.02) ** 2)
+    fit = fit_of(CAMERA, covariance)
+    near, far, beside = (moved(turn=(0.02 * x, 0, 0)) for x in (1, 10, 10.5))
+    modes = [fit_of(camera, covariance) for camera in (near, far, beside)]
+    assert [m.camera for m in other_places(fit, modes)] == [far]
+    # What is as near is another place where the noise is less, or does not say.
+    sharp, blind = 1e-4 * covariance, covariance.copy()
+    blind[0, 0] = np.inf
+    for told in (sharp, blind):
+        found = other_places(fit_of(CAMERA, told), modes)
+        assert [m.camera for m in found] == [near, far, beside]
+    assert other_places(fit, []) == []
+    # One that is left keeps the status, the farthest of those that are the fit's place.
+    assert [m.camera for m in other_places(fit, [fit_of(CAMERA, covariance), modes[0]])] == [near]
+    # However wide the error bars are, a large move is reported.
+    wide = fit_of(CAMERA, 1e4 * covariance)
+    assert [m.camera for m in other_places(wide, modes)] == [far]
+
+
 def test_modes_but_for_a_free_turn_are_one():
     """A can is seen upright from one side, or upside down from any."""
     about = lambda axis, angle: Rotation.from_rotvec(angle * np.array(axis)).as_matrix()
