@@ -375,6 +375,6 @@ def test_rotation_that_no_mask_shows_is_named():
     camera = pj.Camera([3.0, 1, 2], [0, 0, 0], [0, 0, 1], 0.6, 1.0, 96, 80)
     fit = pj.fit_camera(scene, drawn(camera, scene), turned(camera, [1, 2, 3], 5))
     assert fit.iou > 0.999
-    axis = re.match(r"the turn about the axis \(([-.\d]+), ([-.\d]+), ([-.\d]+)\)", fit.weak[0])
+    axis = re.match(r"rotation about the axis \(([-.\d]+), ([-.\d]+), ([-.\d]+)\)", fit.weak[0])
     assert axis is not None
     assert_allclose([float(x) for x in axis.groups()], [0, 0, 1], atol=0.05)

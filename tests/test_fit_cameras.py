@@ -123,7 +123,7 @@ def test_hidden_handle_leaves_the_rotation_of_its_view_free():
     masks = [m > 0.5 for m in images(OF_MUG, scene)]
     hidden, shown = pj.fit_cameras(scene, masks, [turned(c, [1, 2, 3], 4) for c in OF_MUG])
     assert hidden.status == "rank_deficient"
-    assert "the turn about the axis (0.00, 0.00, 1.00)" in hidden.weak[0]
+    assert "rotation about the axis (0.00, 0.00, 1.00)" in hidden.weak[0]
     assert np.all(np.isinf(hidden.std[:3]) | (hidden.std[:3] > np.deg2rad(5)))
     assert shown.status == "converged"
     assert degrees(shown, OF_MUG[1]) < 1

@@ -33,7 +33,7 @@ def fit_of(camera, status="ambiguous", modes=()):
         ]
     )
     history = (pj.Progress(PLAIN, 16, 12, 0), pj.Progress(camera, 64, 48, 7))
-    names, weak = ("rotation_b1", "e_x", "phi"), ("the turn about the axis (0.00, 1.00, 0.00)",)
+    names, weak = ("rotation_b1", "e_x", "phi"), ("rotation about the axis (0.00, 1.00, 0.00)",)
     fit = pj.Fit(camera, status, names, covariance, 1 / 3, 0.99, (3, 4), weak=weak)
     edge = np.array([[1 / 3, 2.0], [40.5, 17.25]])
     return fit._replace(modes=tuple(modes), history=history, unbelieved=edge)

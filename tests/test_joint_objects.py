@@ -150,7 +150,7 @@ def test_observability_of_several_views_equals_polygon_differences(arm, larger):
     one = pj.joint_observability(views[:1], {"left": TRUTH}, (), objects=place)
     assert (one.rank, one.of, len(one.values)) == (6, 7, 7)
     assert np.isinf(one.std[-1])
-    assert one.weak[0] == "the place of part against the scale of part is not visible"
+    assert one.weak[0] == "the position of part against the scale of part is not visible"
     assert "6 of 7 directions are visible" in str(one)
 
 

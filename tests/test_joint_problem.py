@@ -116,7 +116,7 @@ BOTH, NOWHERE, HERE = {"camera": TRUTH, "other": TRUTH}, {"part": np.eye(4)}, np
 WRONG = [
     ("`views`: expected at least one JointView", [], {}),
     ("`cameras`: expected left among them, got camera", [{"camera": "left"}], {}),
-    ("`cameras`: expected what a view names, got other", [{}], {"cameras": BOTH}),
+    ("`cameras`: expected names that a view uses, got other", [{}], {"cameras": BOTH}),
     ("`objects`: expected part among them, got none", [{"object": "part"}], {}),
     (r"`views\[0\].mount`: expected shape \(4, 4\)", [{"mount": np.eye(3)}], {}),
     (r"`views\[0\].placed`: expected a rotation and a", [{"placed": 2 * HERE}], {}),

@@ -83,7 +83,7 @@ def test_stretches_are_moved_as_the_camera_is(scene, image):
 def test_rendered_binary_mask_has_quantisation_errors_alone(scene, image):
     fit = pj.fit_camera(scene, image > 0.5, single(CAMERA))
     assert fit.mask_error == (0.0, 0.0)
-    assert str(fit.mask_error) == "no more than quantisation leaves"
+    assert str(fit.mask_error) == "quantisation alone"
     ratio = fit.std / np.sqrt(np.diag(fit.independent_covariance))
     assert np.all((ratio > 0.9) & (ratio < 1.5))
 

@@ -185,7 +185,7 @@ PHOTO = np.zeros((160, 192, 3), np.uint8)
     ("photo", "words"),
     [
         (PHOTO[:, :100], r"`photo`: expected .* \(160, 192, 3\), got shape \(160, 100, 3\)"),
-        (PHOTO[..., 0], r"got shape \(160, 192\); a grey one is to be stacked"),
+        (PHOTO[..., 0], r"got shape \(160, 192\); stack a grey photo"),
         (np.zeros((160, 192, 4), np.uint8), r"give `photo\[..., :3\]`"),
         (PHOTO.astype(int), r"`photo`: expected dtype uint8 or float, got int64"),
         (PHOTO + 200.0, r"`photo`: expected floats in \[0, 1\], got 200 to 200"),

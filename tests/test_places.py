@@ -109,7 +109,7 @@ def test_faceted_body_fits_as_well_one_facet_on():
     for target in (mask, mask > 0.5):
         fit = pj.fit_camera(scene, target, turned(CAMERA, [0, 0, 1], 9))
         assert fit.status in ("rank_deficient", "ambiguous")
-        assert fit.modes or "the turn about the axis" in fit.weak[0]
+        assert fit.modes or "rotation about the axis" in fit.weak[0]
 
 
 @pytest.mark.parametrize("kind", ["one bit", full("blurred"), full("eroded")])

@@ -128,4 +128,4 @@ def test_continuous_symmetry_is_no_list_of_modes():
     fit = pj.fit_camera(scene, drawn(anywhere(2), scene), None, phi=0.6)
     assert fit.iou > 0.999
     assert fit.modes == ()
-    assert "the turn about the axis" in fit.weak[0]
+    assert "rotation about the axis" in fit.weak[0]

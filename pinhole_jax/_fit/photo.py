@@ -92,7 +92,7 @@ def check_photo(photo: Any, W: int, H: int) -> np.ndarray:
         if array.shape == (H, W, 4):
             hint = "; give `photo[..., :3]`, without its transparency"
         elif array.shape == (H, W):
-            hint = "; a grey one is to be stacked three times"
+            hint = "; stack a grey photo three times"
         raise ValueError(f"`photo`: expected {expected}, got shape {array.shape}{hint}")
     if array.dtype != np.uint8 and not np.issubdtype(array.dtype, np.floating):
         raise ValueError(f"`photo`: expected dtype uint8 or float, got {array.dtype}")
@@ -105,7 +105,7 @@ def check_photo(photo: Any, W: int, H: int) -> np.ndarray:
     if low < -NOISE or high > 1 + NOISE:
         raise ValueError(
             f"`photo`: expected floats in [0, 1], got {low:g} to {high:g}"
-            " (photos of 0..255 are to be uint8)"
+            " (convert photos of 0..255 to uint8)"
         )
     return array
 

@@ -39,7 +39,7 @@ class Free(NamedTuple):
 
     def __str__(self) -> str:
         """Return it as a sentence."""
-        name = "a shift" if self.axis is None else f"the turn about the axis {in_words(self.axis)}"
+        name = "a shift" if self.axis is None else f"rotation about the axis {in_words(self.axis)}"
         if np.isinf(self.ahead):
             return f"{name} is not visible"
         low, high = -np.rad2deg(self.behind), np.rad2deg(self.ahead)

@@ -52,7 +52,7 @@ class MaskError(NamedTuple):
     def __str__(self) -> str:
         """The error as a sentence."""
         if not self.px:
-            return "no more than quantisation leaves"
+            return "quantisation alone"
         return f"{self.px:.1f} px, over some {self.over_px:.0f} px of the outline"
 
 
@@ -335,7 +335,7 @@ def _disagreement(sums: Any, astray: float, unexplained: bool) -> tuple[str, ...
     """Return sentences on how much of the outline the mask does not have, or has elsewhere."""
     off, words = sums.off / max(sums.touched, 1), []
     if unexplained:
-        words.append(f"{off:.0%} of the outline is farther off than a mask of this kind should be")
+        words.append(f"{off:.0%} of the outline is too far from the edge of a mask of this kind")
     if astray > (RULES.little if unexplained else RULES.astray):
         words.append(f"{astray:.0%} of the outline is far from the mask's edge: {WRONG}")
     return tuple(words)

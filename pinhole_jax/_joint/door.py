@@ -170,7 +170,7 @@ def _check_names(
             have = ", ".join(known) or "none"
             raise ValueError(f"`{kind}`: expected {', '.join(missing)} among them, got {have}")
         if idle := sorted(set(known) - named):
-            raise ValueError(f"`{kind}`: expected what a view names, got {', '.join(idle)}")
+            raise ValueError(f"`{kind}`: expected names that a view uses, got {', '.join(idle)}")
     if blind := sorted(set(rig) - {v.camera for v in views}):
         raise ValueError(f"`rig`: expected cameras that a view names, got {', '.join(blind)}")
     if rig and RIG in cameras:

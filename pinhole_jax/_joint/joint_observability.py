@@ -96,9 +96,7 @@ def _words(problem: JointProblem, direction: np.ndarray) -> list[str]:
         part = direction[problem.place(unknown.name, unknown.kind)]
         parts = {unknown.kind: part}
         if unknown.kind in MOTIONS:
-            parts = {"turn": part[:3], "place": part[3:]}
-        if unknown.kind == "position":
-            parts = {"place": part}
+            parts = {"rotation": part[:3], "position": part[3:]}
         for word, numbers in parts.items():
             sizes[f"the {word} of {unknown.name}"] = float(np.linalg.norm(numbers))
     chief = sorted((w for w in sizes if sizes[w] > CHIEF), key=lambda w: -sizes[w])

@@ -192,17 +192,19 @@ def _status(
     wrong = [k for k in numbers if not _is_explained(found, k)]
     if wrong:
         which = ", ".join(map(str, wrong))
-        return "misfit", (f"views {which}: model and mask do not match as exact masks should",)
+        return "misfit", (f"views {which}: the model does not match exact masks closely enough",)
     lost = [k for k in numbers if views[k].astray > LOST]
     if len(lost) > MOST_LOST * len(numbers):
-        return "misfit", (f"{len(lost)} of {len(numbers)} masks do not show the model",)
+        return "misfit", (
+            f"{len(lost)} of {len(numbers)} masks do not show the model: another object?",
+        )
     far = float(np.median([views[k].astray for k in numbers]))
     # (What several masks show alone was compared with all places that it may be seen from.)
     if far > RULES.astray and not _is_compared(end, numbers[0]):
         edges = "the edges of most masks" if len(numbers) > 1 else "the mask's edge"
         return "misfit", (f"{far:.0%} of the outline is far from {edges}: {WRONG}",)
     if np.any(np.isinf(fit.std)):
-        return "rank_deficient", ("some move changes no mask",)
+        return "rank_deficient", ("the masks leave a direction open (infinite standard errors)",)
     open_turn = uncertain_rotation(fit.covariance, fit.names, fit.camera)
     return "uncertain" if open_turn else "converged", open_turn
 

@@ -77,7 +77,7 @@ def _with_range(name: str, image: Any, W: int, H: int) -> tuple[np.ndarray, tupl
     if low < -NOISE or high > 1 + NOISE:
         raise ValueError(
             f"`{name}`: expected floats in [0, 1], got {low:g} to {high:g}"
-            " (masks of 0..255 are to be uint8)"
+            " (convert masks of 0..255 to uint8)"
         )
     return array, (low, high)
 
@@ -88,7 +88,7 @@ def _two_values(name: str, array: np.ndarray, low: Any, high: Any) -> np.ndarray
         return array > 0
     raise ValueError(
         f"`{name}`: expected integers that are all 0 or 1 (or 255, or 65535), or uint8, got"
-        f" {array.dtype} from {low} to {high}; give `mask > 0` if what is not 0 is the object, or"
+        f" {array.dtype} from {low} to {high}; give `mask > 0` if all but 0 is the object, or"
         " floats in [0, 1]"
     )
 
@@ -105,7 +105,7 @@ def check_target(target: Any, weight: Any, W: int, H: int) -> tuple[np.ndarray, 
         ends = counted.min(), counted.max()
     low, high = as_coverage(np.array(ends))
     if high < 0.5:
-        hint = "; give `target > 0` if what is not 0 is the object" if high > 0 else ""
+        hint = "; give `target > 0` if all but 0 is the object" if high > 0 else ""
         raise ValueError(
             "`target`: expected a mask that covers something, got an empty one"
             f" (largest value {high:.2g}){hint}"

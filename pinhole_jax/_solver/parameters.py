@@ -107,7 +107,7 @@ def _film_pixel(scale: Scale) -> Array:
 
 
 AXES = ("b1", "b2", "v")
-TURNS = tuple(Component(f"turn_{b}", "the turn", _far_pixel, is_turn=True) for b in AXES)
+TURNS = tuple(Component(f"turn_{b}", "rotation", _far_pixel, is_turn=True) for b in AXES)
 SPINS = tuple(Component(f"spin_{b}", "the camera's turn", _pixel, is_turn=True) for b in AXES)
 PLACE = (
     *(Component(f"shift_{b}", "the sideways shift", _pixel) for b in AXES[:2]),
