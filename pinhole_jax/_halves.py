@@ -116,7 +116,7 @@ class SplitCheck(NamedTuple):
         return tuple(status for half in self.halves for status in _statuses(half))
 
     @property
-    def tells(self) -> bool:
+    def is_conclusive(self) -> bool:
         """True if both halves were found, well enough to compare something."""
         return bool(self.parameters) and not {*self.statuses} & LOST
 
@@ -127,7 +127,7 @@ class SplitCheck(NamedTuple):
 
     def __str__(self) -> str:
         """Return it as a table, its verdict first."""
-        if not self.tells:
+        if not self.is_conclusive:
             why = ", ".join(self.statuses)
             return f"cannot tell: the halves do not both determine a camera (they are {why})"
         verdict = "the error bars hold" if self.agrees else "THE ERROR BARS ARE TOO NARROW"

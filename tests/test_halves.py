@@ -164,7 +164,7 @@ def test_modes_of_a_half_count_as_its_answer():
 def test_halves_that_were_not_found_tell_nothing(status):
     fits = fit_at(CAMERA, known_by(0.5)), fit_at(CAMERA, known_by(0.5), status=status)
     check = pj.split_check(lambda k: fits[k], (0, 1))
-    assert not check.tells
+    assert not check.is_conclusive
     assert status in str(check)
     assert str(check).startswith("cannot tell")
 
@@ -174,7 +174,7 @@ def test_halves_that_determine_nothing_tell_nothing():
     np.fill_diagonal(nothing, np.inf)
     check = pj.split_check(lambda _: fit_at(CAMERA, nothing), (0, 1))
     assert check.parameters == 0
-    assert not check.tells
+    assert not check.is_conclusive
 
 
 def test_fits_with_nothing_in_common_are_refused():

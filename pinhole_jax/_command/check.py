@@ -85,7 +85,7 @@ def _split(subject: CheckData, whole: Fit | JointFit, fit: Fit, progress: Ticker
     progress.say("fitting each half")
     refit = lambda half: subject.fitted(half, fit.camera)
     check = split_check(refit, subject.halved(whole))
-    return Finding(str(check), not check.tells, not check.agrees)
+    return Finding(str(check), not check.is_conclusive, not check.agrees)
 
 
 def _camera_fit(fit: Fit | JointFit) -> Fit:

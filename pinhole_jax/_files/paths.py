@@ -56,7 +56,7 @@ def file_and_name(path: Any) -> tuple[Path, str | None]:
 
 
 def is_folder(path: Any) -> bool:
-    """Tell if there is a folder at a path; there is none at a path that no system takes."""
+    """True if there is a folder at a path; there is none at a path that no system takes."""
     try:
         return as_path(path).is_dir()
     except OSError:
@@ -138,7 +138,7 @@ def parse_json(text: str, path: Any, kind: str = "JSON") -> Any:
 
 
 def is_stream(path: Any) -> bool:
-    """Tell if a path is a pipe or one of this process's own streams."""
+    """True if a path is a pipe or one of this process's own streams."""
     return _stream_number(as_path(path)) is not None or _kind(as_path(path)) == "a pipe"
 
 
@@ -227,7 +227,7 @@ def first_repeat(names: Iterable[Name]) -> Name | None:
 
 
 def is_deep(data: Any) -> bool:
-    """Tell if lists and maps are nested deeper than `MOST_DEPTH`."""
+    """True if lists and maps are nested deeper than `MOST_DEPTH`."""
     level: list[Any] = [[data]]
     for _ in range(MOST_DEPTH + 2):
         values = (part.values() if isinstance(part, dict) else part for part in level)

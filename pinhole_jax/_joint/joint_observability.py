@@ -97,6 +97,8 @@ def _words(problem: JointProblem, direction: np.ndarray) -> list[str]:
         parts = {unknown.kind: part}
         if unknown.kind in MOTIONS:
             parts = {"rotation": part[:3], "position": part[3:]}
+        if unknown.kind == "position":
+            parts = {"position": part}
         for word, numbers in parts.items():
             sizes[f"the {word} of {unknown.name}"] = float(np.linalg.norm(numbers))
     chief = sorted((w for w in sizes if sizes[w] > CHIEF), key=lambda w: -sizes[w])

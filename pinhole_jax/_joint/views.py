@@ -204,7 +204,7 @@ class Eye:
                 nearer = by_twist[:, 3:] @ pose[:3, :3].T @ (-scale * pose[:3, 3])
                 columns = nearer[:, None]
             elif unknown.kind not in MOTIONS:
-                place = _places(self.solver.freed, unknown.kind)
+                place = _indices(self.solver.freed, unknown.kind)
                 columns = np.zeros((len(sizes), len(place)))
                 columns[place, np.arange(len(place))] = 1 / sizes[place]
             elif unknown.name == self.moving:
@@ -231,7 +231,7 @@ class Eye:
         result, bounds, kind = np.zeros(unknown.size), self.solver.bounds, unknown.kind
         if bounds is None or kind not in self.ended(state):
             return result
-        bound, (k,) = bounds.labels.index(kind), _places(self.solver.freed, kind)
+        bound, (k,) = bounds.labels.index(kind), _indices(self.solver.freed, kind)
         middle = float(bounds.low[bound] + bounds.high[bound]) / 2
         value = float(PARAMETERS[kind].leaves[0].of(state.lenses[self.shot.camera]))
         result[:] = np.sign(np.asarray(view.to_reported)[k, k]) * (1 if value > middle else -1)
@@ -259,7 +259,7 @@ def reported_twist(rotation: np.ndarray, axes: np.ndarray = TO_B) -> np.ndarray:
     return result
 
 
-def _places(freed: tuple[str, ...], kind: str) -> np.ndarray:
+def _indices(freed: tuple[str, ...], kind: str) -> np.ndarray:
     """Indices of a parameter's moves, and of its reported numbers, among those of the free names:
     there are as many of both."""
     begin = len(components(freed[: freed.index(kind)]))
@@ -268,7 +268,7 @@ def _places(freed: tuple[str, ...], kind: str) -> np.ndarray:
 
 def lens_reported(view: View, freed: tuple[str, ...], kind: str) -> np.ndarray:
     """Reported values of a lens's parameter (film coordinates in film heights) by its moves."""
-    place = _places(freed, kind)
+    place = _indices(freed, kind)
     rows = np.asarray(view.to_reported, float)[np.ix_(place, place)]
     return rows / np.asarray(view.scale, float)[place]
 
@@ -308,7 +308,7 @@ def with_parameter(camera: Camera, kind: str, other: Camera) -> Camera:
 def _move_lens(eye: Eye, camera: Camera, kind: str, part: np.ndarray) -> Camera:
     """A canonical camera with a parameter of its lens moved."""
     solver = eye.solver
-    start, place = solver.move(camera, solver.finest), _places(solver.freed, kind)
+    start, place = solver.move(camera, solver.finest), _indices(solver.freed, kind)
     y = np.zeros(len(components(solver.freed)))
     y[place] = part / np.asarray(start.scale, float)[place]
     return solver.step(camera, solver.finest, y)

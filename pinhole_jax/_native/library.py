@@ -14,7 +14,7 @@ def is_available() -> bool:
     """True if the library runs here; else a warning says once why it does not."""
     if is_switched_off():
         return False
-    why = _registered()
+    why = _obstacle()
     if why:
         warnings.warn(
             f"pinhole_jax runs without its compiled library ({why}): masks take some 10 times as"
@@ -34,8 +34,8 @@ def library() -> ctypes.CDLL:
     return found
 
 
-def _registered() -> str:
-    """The reason why the library cannot be used, or nothing once it is registered."""
+def _obstacle() -> str:
+    """Register the library; the reason why it cannot be used, empty if it can."""
     if library_path() is None:
         return "it was not built"
     try:

@@ -134,9 +134,10 @@ def operands(variables: Variables, constants: Constants) -> list[Array]:
 
 
 def _with_edges(model: int, shape: tuple[int, int], given: list[Array]) -> list[Array]:
-    """The image, and the edges of the contour, for its derivative.
+    """The image and its contour's edges, which the derivative reuses.
 
-    A rough mesh has more of them than there is room for: they are found again there.
+    There is room for a quarter of the mesh's edges; if a rough mesh's contour has more, the
+    derivative finds them again.
     """
     edge_vertices = given[4]
     room = jax.ShapeDtypeStruct((3 + len(edge_vertices) // 4,), jnp.int32)

@@ -50,8 +50,8 @@ def as_array(value: Any) -> Any:
     return jnp.asarray(value)
 
 
-def at_hand(value: Any) -> Any:
-    """Return an array as NumPy's, whose operations compile nothing; a traced one as it is."""
+def as_numpy(value: Any) -> Any:
+    """Return a NumPy array, whose operations compile nothing; a traced one as it is."""
     return np.asarray(value) if is_concrete(value) else value
 
 

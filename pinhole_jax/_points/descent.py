@@ -105,12 +105,12 @@ def _drop_outliers(
 
 
 def _weigh_prior(
-    problem: PointProblem, views: list[PointView], given: float | None, turn: int
+    problem: PointProblem, views: list[PointView], given: float | None, round_number: int
 ) -> list[PointView]:
-    """The views with their priors weighed by what the points of all err by.
+    """The views with their priors weighed by the points' noise.
 
-    Where only priors leave coordinates over, they hold what is free at first: what the points then
-    err by is no less than in truth.
+    If only priors leave coordinates over, they hold the free parameters in round 0: the noise that
+    round 1 estimates is then no less than the true one.
     """
     prior = views[0].prior
     if prior is None:
@@ -118,9 +118,9 @@ def _weigh_prior(
     left, rows = left_over(problem, views), prior_rows(problem, views)
     if given is not None or left > 0:
         px = noise_of(problem, views, given).variance ** 0.5
-    elif left + rows > 0 and turn == 0:
+    elif left + rows > 0 and round_number == 0:
         px = HOLDS * views[0].film.H * float(np.max(prior.std))
-    elif left + rows > 0 and turn == 1:
+    elif left + rows > 0 and round_number == 1:
         px = Noise(squares_of(views) / (left + rows), left + rows).variance ** 0.5
     else:
         return views

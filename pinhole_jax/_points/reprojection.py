@@ -193,7 +193,7 @@ class PointProblem(NamedTuple):
         return [view.look() for view in state]
 
     def noise(self, seen: list[PointRows]) -> float:
-        """1: priors are weighed already."""
+        """The noise that weighs priors: 1, as theirs are weighed already."""
         del seen
         return 1.0
 

@@ -14,7 +14,7 @@ from .._numerics.arrays import (
     MISSING,
     ArrayLike,
     Input,
-    at_hand,
+    as_numpy,
     float_array,
     float_dtype,
     is_concrete,
@@ -84,7 +84,7 @@ class Mesh(eqx.Module):
         self.vertices = float_array("vertices", vertices, (None, 3), float_dtype(vertices))
         triangles = _face_indices(faces, self.vertices.shape[0])
         known = is_concrete(self.vertices)
-        points = at_hand(self.vertices)
+        points = as_numpy(self.vertices)
         if known:
             triangles = without_copies(points, triangles)
             _warn_if_coarse(points)
@@ -109,7 +109,7 @@ class Mesh(eqx.Module):
 
         Per shared vertex index; `load_mesh` merges equal vertices. Traced as the mesh is.
         """
-        without_border = (at_hand(self.edge_faces) >= 0).all()
+        without_border = (as_numpy(self.edge_faces) >= 0).all()
         return bool(without_border) if is_concrete(without_border) else without_border
 
 
@@ -261,7 +261,7 @@ def bounding_box(scene: Scene) -> Float[Array, "2 3"]:
 
 def bounding_sphere(scene: Scene) -> Ball:
     """Return a sphere about the scene (the bounding box's, not the least)."""
-    return ball_about(at_hand(bounding_box(scene)))
+    return ball_about(as_numpy(bounding_box(scene)))
 
 
 def ball_about(box: Float[Array | np.ndarray, "2 3"]) -> Ball:

@@ -95,6 +95,7 @@ def drawn(curves: Contour, film: tuple[int, int], base: Int[Array, ""], overlaps
 
 
 def _marks(m: Monotone, pieces: Pieces) -> Float[Array, "P 10"]:
+    """What each piece adds to its pixel's `_Sums`."""
     tiny = 8 * jnp.finfo(pieces.jump.dtype).eps
     right, up = (-pieces.jump[:, None] * (pieces.high - pieces.low)).T
     sums = _Sums(

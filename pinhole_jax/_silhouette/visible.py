@@ -127,6 +127,7 @@ def _lines(camera: Camera, scene: Scene) -> tuple[Array, Array, Array, Int[Array
 def _arc_lines(
     frames: Float[Array, "S 3 3"], start: Points, end: Points, weight: Float[Array, "A"]
 ) -> Curve:
+    """Arcs as `ARC_POINTS` - 1 straight lines each: their ends on the film, and weights."""
     begin, until = (jnp.arctan2(w[:, 1:], w[:, :1]) for w in (start, end))
     share = jnp.linspace(1e-6, 1 - 1e-6, ARC_POINTS, dtype=weight.dtype)[None]
     angle = begin + (until - begin) % (2 * np.pi) * share

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from .._camera.axes import axes_of
 from .._camera.camera import Camera, camera_basis, focal_px, principal_point
 from .._camera.lens import Lens
-from .._numerics.arrays import at_hand
+from .._numerics.arrays import as_numpy
 from .._numerics.safe import norm, safe_divide, safe_sqrt, times
 from .parameters import AXES, COMPONENTS, LABELS, PARAMETERS, TABLE, Scale, components, labels_of
 
@@ -200,7 +200,7 @@ def canonical(camera: Camera) -> Camera:
 
     One compiled program then serves all resolutions; film coordinates are in film heights.
     """
-    point = at_hand(principal_point(camera)) / camera.H
+    point = as_numpy(principal_point(camera)) / camera.H
     aspect = 1.0 if camera.lens is None else camera.lens.aspect
     result = camera.replace(W=1, H=1, lens=Lens(point, aspect))
     if camera.lens is None or camera.lens.distortion is None:
@@ -215,7 +215,7 @@ def on_film(canonical_one: Camera, camera: Camera) -> Camera:
     one = canonical_one
     lens = one.lens
     if lens is not None:
-        place = at_hand(lens.principal_point) * camera.H
+        place = as_numpy(lens.principal_point) * camera.H
         lens = None if camera.lens is None else Lens(place, lens.aspect, lens.distortion)
     moving = lambda c: (c.e, c.p, c.u, c.phi, c.d, c.lens)
     values = (one.e, one.p, one.u, one.phi, one.d, lens)

@@ -53,6 +53,7 @@ def normals(camera: Camera, scene: Scene) -> Float[Array, "H W 3"]:
 
 @eqx.filter_jit
 def _ahead(camera: Camera, scene: Scene, seen: FirstHits) -> Float[Array, "H W"]:
+    """The hits' depth along the view axis; inf where there is none."""
     t = hits(scene, seen).t
     met = jnp.isfinite(t)
     ahead = inner(parts(seen.rays.direction), parts(camera_basis(camera).v))

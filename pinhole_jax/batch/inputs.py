@@ -340,6 +340,7 @@ def _crop(record: Record, size: Size) -> _Crop:
 
 
 def _pixel_size(field: str, W: float, H: float) -> Size:
+    """A width and height as integers, or raise ValueError unless both are whole and positive."""
     if W % 1 or H % 1 or min(W, H) < 1:
         raise ValueError(f"`{field}`: expected a width and height in px, got {W:g} x {H:g}")
     return int(W), int(H)

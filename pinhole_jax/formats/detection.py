@@ -270,7 +270,7 @@ def _verdict(ranked: list[tuple[Hypothesis, np.ndarray]], target: np.ndarray) ->
 
 
 def _is_decided(image: np.ndarray, other: np.ndarray, target: np.ndarray) -> bool:
-    """Tell if a target clearly prefers an image where it differs from another one."""
+    """True if a target clearly prefers an image where it differs from another one."""
     disputed = image != other
     count, votes = int(disputed.sum()), int((disputed & (image == target)).sum())
     return votes > SHARE * count and 2 * votes - count > SIGMAS * count**0.5

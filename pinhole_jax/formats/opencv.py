@@ -321,5 +321,5 @@ def _quoted(text: str) -> str:
 
 
 def _can_hold(text: str) -> bool:
-    """Tell if FileStorage reads a quoted text as it was."""
+    """True if FileStorage reads a quoted text as it was."""
     return len(text.encode()) <= MOST_BYTES and not UNPRINTABLE.search(text)

@@ -344,7 +344,7 @@ def _listed(values: np.ndarray) -> str:
 
 
 def _two_colours(image: Image) -> bool:
-    """Tell if a picture uses two entries of its palette, 0 (black) and 1 (a colour): a label's."""
+    """True if a picture uses two entries of its palette, 0 (black) and 1 (a colour): a label's."""
     if image.mode != "P" or max(image.getextrema()) != 1:
         return False
     colours = [*(image.getpalette() or ()), *6 * [0]][:6]

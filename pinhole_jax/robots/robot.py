@@ -97,6 +97,7 @@ class Robot:
         )
 
     def _checked(self, angles: Angles) -> dict[str, float]:
+        """Checked angles by joint, without joints that follow others; ValueError for others."""
         if not isinstance(angles, Mapping):
             values, number = np.asarray(angles, float), len(self.joints)
             if values.shape != (number,):

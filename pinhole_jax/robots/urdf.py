@@ -64,6 +64,7 @@ def plain_urdf(data: bytes, leave_out: Collection[str]) -> bytes:
 
 
 def _root(data: bytes) -> Any:
+    """The file's <robot> element, tags without namespaces; ValueError for xacro and other files."""
     from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
 
     parser = etree.XMLParser(
