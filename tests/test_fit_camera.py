@@ -283,7 +283,7 @@ MASK[30:50, 30:60] = 1
             r"`target`: expected finite values, got nan at \[30, 30\]",
         ),
         ({"target": np.dstack([MASK] * 4)}, "`target`: expected shape .* choose a channel"),
-        ({"target": 9 * MASK.astype(np.uint16)}, "give `mask > 0` if what is not 0 is the object"),
+        ({"target": 9 * MASK.astype(np.uint16)}, "give `mask > 0` if all but 0 is the object"),
         ({"target": -MASK.astype(int)}, "`target`: .*got int64 from -1 to 0"),
         ({"target": np.full((80, 96), "x")}, "`target`: expected dtype bool, uint8 or float"),
         ({"target": None}, "`target`: expected shape"),
