@@ -41,6 +41,7 @@ def test_no_fit_says_converged_and_is_wrong(shape, exhaustive):
         (16, "mug", "noisy"),  # its handle, which the mask alone shows, is no noise
         full(516, "dented", "exact"),  # a ball of facets is itself from sixty sides
         (905, "box", "one bit"),  # squares as of a right mask, but on the wrong side of a half
+        (5019, "gear with keyway", "8 bits"),  # from the start a tooth too far
     ],
 )
 def test_fits_that_once_lied_are_honest(number, shape, kind):
