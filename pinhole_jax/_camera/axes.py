@@ -1,9 +1,14 @@
 """A camera's axes in NumPy, in float64: no program is compiled for them."""
 
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, TypeVar
+
 import numpy as np
 from jaxtyping import Float
 
 from .camera import Camera
+
+T = TypeVar("T")
 
 
 def axes_of(camera: Camera) -> Float[np.ndarray, "3 3"]:
@@ -25,6 +30,18 @@ def angle(a: Camera, b: Camera) -> float:
     """Return the angle between two cameras' orientations (rad)."""
     chord = np.linalg.norm(axes_of(a) - axes_of(b)) / 8**0.5
     return float(2 * np.arcsin(min(chord, 1)))
+
+
+def distinct(
+    places: Iterable[T], apart: float, camera: Callable[[T], Any] = lambda place: place
+) -> Iterator[T]:
+    """Places, or cameras, that look other ways than all before, by more than an angle (rad)."""
+    before: list[Camera] = []
+    for place in places:
+        here = camera(place)
+        if all(angle(here, other) > apart for other in before):
+            before.append(here)
+            yield place
 
 
 def sphere_points(number: int) -> np.ndarray:

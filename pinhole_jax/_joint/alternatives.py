@@ -8,12 +8,13 @@ that they share is among its residuals then, linear in its parameters.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import islice
 from typing import NamedTuple, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
 
-from .._camera.axes import angle
+from .._camera.axes import distinct
 from .._camera.camera import Camera
 from .._fit.places import (
     Free,
@@ -22,6 +23,7 @@ from .._fit.places import (
     separation,
 )
 from .._fit.refine import Refiner, likeliest
+from .._fit.result import iou_and_rms
 from .._fit.strategy import (
     ROUGH_PX,
     everywhere,
@@ -271,8 +273,7 @@ def _is_content(problem: JointProblem, path: Path) -> bool:
     # (Zeros that are not where they are sought explain no mask.)
     if all(eye.solver.kind.exact for eye in problem.eyes) and not problem.zeros:
         return all(is_explained(eye.solver, view) for eye, view in pairs)
-    overlap, union = (sum(float(getattr(v.sums, x)) for v in views) for x in ("overlap", "union"))
-    return path.descent.ended and overlap >= LIKELY_IOU * union
+    return path.descent.ended and iou_and_rms([v.sums for v in views])[0] >= LIKELY_IOU
 
 
 def _search_together(pose: LonePose, state: State, tell: Tell) -> list[Path]:
@@ -336,24 +337,14 @@ def _guesses(problem: JointProblem, name: str, state: State) -> list[State]:
     """States in which the searched pose is a guess of one of the views."""
     result = []
     for eye in problem.eyes:
-        seen: list[Camera] = []
-        for guess in guesses(eye.mask, eye.solver.subject.scene, eye.solver.subject.ball):
-            if len(seen) == TRIED:
-                break
-            if all(angle(guess, other) > RULES.start for other in seen):
-                seen.append(guess)
-                result.append(eye.with_camera(name, canonical(guess), state))
+        proposed = guesses(eye.mask, eye.solver.subject.scene, eye.solver.subject.ball)
+        for guess in islice(distinct(proposed, RULES.start), TRIED):
+            result.append(eye.with_camera(name, canonical(guess), state))
     return result
 
 
 def _apart(problem: JointProblem, places: Sequence[P], apart: float) -> list[P]:
     """The states, or paths to these, whose cameras look other ways (rad) than those before."""
-    result: list[P] = []
-    cameras: list[Camera] = []
-    for place in places:
-        state = place.descent.state if isinstance(place, Path) else place
-        camera = problem.eyes[0].canonical(state)
-        if all(angle(camera, other) > apart for other in cameras):
-            cameras.append(camera)
-            result.append(place)
-    return result
+    state = lambda place: place.descent.state if isinstance(place, Path) else place
+    camera = lambda place: problem.eyes[0].canonical(state(place))
+    return [*distinct(places, apart, camera)]

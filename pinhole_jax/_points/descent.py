@@ -24,15 +24,6 @@ JUMPS = 3
 Tell = Callable[[str], None]
 
 
-class Options(NamedTuple):
-    """Options for points: the distance of outliers (px), the variance of a coordinate of weight 1
-    (px^2), both None if unknown; the most steps."""
-
-    reach: float | None
-    variance: float | None
-    most: int
-
-
 class PointDescent(NamedTuple):
     """Views where the squares of all are least.
 
@@ -50,27 +41,35 @@ class PointDescent(NamedTuple):
 
 
 def descend(
-    problem: PointProblem, views: list[PointView], asked: Options, tell: Tell
+    problem: PointProblem,
+    views: list[PointView],
+    reach: float | None,
+    variance: float | None,
+    most: int,
+    tell: Tell,
 ) -> PointDescent:
-    """Descend with all views together. Outliers lose their weight on the way. Views that other
-    places fit better, or as well and nearer to the start, go on from there."""
+    """Descend with all views together, by this many steps at most each time.
+
+    Points farther than `reach` (px) lose their weight on the way; `variance` (px^2) is that of a
+    coordinate of weight 1; both None if unknown. Views that other places fit better, or as well and
+    nearer to the start, go on from there.
+    """
     given, way = [view.weight for view in views], [(views, 0)]
-    reach = asked.reach
-    for reach_px in [None] if reach is None else [times * reach for times in REACHES]:
-        views = views if reach_px is None else _drop_outliers(views, given, reach_px)
-        views, steps = _descend_together(problem, views, asked, tell)
+    for times in (1,) if reach is None else REACHES:
+        views = views if reach is None else _drop_outliers(views, given, times * reach)
+        views, steps = _descend_together(problem, views, variance, most, tell)
         way.append((views, steps))
     jumps = 0
     while True:
-        noise = noise_of(problem, views, asked.variance)
-        limits = [rms_limit(view, asked.variance, reach) for view in views]
+        noise = noise_of(problem, views, variance)
+        limits = [rms_limit(view, variance, reach) for view in views]
         each = zip(views, limits, strict=True)
         places = [rivals(problem, view, noise, limit) for view, limit in each]
         first = [best for best, *_ in places]
         if jumps == JUMPS or all(a is b for a, b in zip(first, views, strict=True)):
             break
         jumps += 1
-        views, steps = _descend_together(problem, first, asked, tell)
+        views, steps = _descend_together(problem, first, variance, most, tell)
         way.append((views, steps))
     pairs = zip(places, views, strict=True)
     others = [[place for place in some if place is not view] for some, view in pairs]
@@ -78,13 +77,13 @@ def descend(
 
 
 def _descend_together(
-    problem: PointProblem, views: list[PointView], asked: Options, tell: Tell
+    problem: PointProblem, views: list[PointView], variance: float | None, most: int, tell: Tell
 ) -> tuple[list[PointView], int]:
     """Views where the squares of all are least, and the number of steps."""
     steps = 0
     for k in range(ROUNDS if views[0].prior is not None else 1):
-        views = _weigh_prior(problem, views, asked.variance, k)
-        found = levenberg_marquardt(problem, views, asked.most, FINE_PX[problem.dtype])
+        views = _weigh_prior(problem, views, variance, k)
+        found = levenberg_marquardt(problem, views, most, FINE_PX[problem.dtype])
         views, steps = found.state, steps + found.steps
     rms = (squares_of(views) / sum(float(np.sum(view.weight)) for view in views)) ** 0.5
     tell(f"{len(views)} views: {steps} steps, {rms:.3g} px")

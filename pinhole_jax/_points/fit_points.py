@@ -29,7 +29,7 @@ from .._solver.moves import on_film
 from .._solver.parameters import check_free, components, labels_of
 from .._solver.priors import Pair, bounds_of, prior_of
 from .._solver.uncertainty import BLIND, covariance, weak_directions
-from .descent import Options, PointDescent, descend
+from .descent import PointDescent, descend
 from .noise import FEW, Noise, beyond_noise, coordinates
 from .reprojection import PointArrays, PointProblem, PointRows, PointView
 from .starts import begin
@@ -169,9 +169,8 @@ def fit_points(
         variance = None if noise_px is None else noise_px**2 / scale
         alone = tuple(name for name in freed if name not in common)
         problem = PointProblem.from_views(views, alone)
-        options = Options(outlier_px, variance, max_steps)
         with shown(progress, "fitting points") as tell:
-            found = descend(problem, views, options, tell or say)
+            found = descend(problem, views, outlier_px, variance, max_steps, tell or say)
         return _reports(found, given), found
 
     inputs = points3d, points2d, weights

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .._camera.axes import angle
+from .._camera.axes import angle, distinct
 from .._rules import RULES
 from .._solver.least_squares import levenberg_marquardt
 from .._solver.parameters import labels_of
@@ -14,7 +14,7 @@ from .._solver.problem import FINE_PX
 from .._solver.uncertainty import BLIND
 from .noise import Noise, exact_squares
 from .reprojection import PointProblem, PointView
-from .starts import apart, is_few, placed, reversed_depths, three_point_starts
+from .starts import is_few, placed, reversed_depths, three_point_starts
 
 #: This many descents from other places at most, of this many steps at most.
 DESCENTS, STEPS = 4, 50
@@ -95,7 +95,7 @@ def _starts(view: PointView, explained: bool) -> list[PointView]:
         result.sort(key=_squares)
     # (Those that are close to this view lead to it; those of three points are where they end.)
     close = APART_OF_THREE if view.number == 3 else CLOSE
-    return apart([view, *result], close)[1 : 1 + DESCENTS]
+    return [*distinct([view, *result], close, lambda place: place.camera)][1 : 1 + DESCENTS]
 
 
 def _is_blind(view: PointView) -> bool:

@@ -3,7 +3,7 @@
 import equinox as eqx
 import numpy as np
 
-from .._camera.axes import angle, axes_of
+from .._camera.axes import axes_of
 from .._camera.camera import Camera
 from .._solver.moves import canonical, on_film
 from .._solver.parameters import components
@@ -80,15 +80,6 @@ def placed(view: PointView, camera: Camera) -> PointView:
     """The view from a camera's pose, its lens as it is."""
     pose = lambda c: (c.e, c.p, c.u)
     return view._replace(camera=eqx.tree_at(pose, view.camera, pose(camera)))
-
-
-def apart(places: list[PointView], close: float) -> list[PointView]:
-    """Places without those that are as close (rad) to one before."""
-    result: list[PointView] = []
-    for place in places:
-        if all(angle(place.camera, other.camera) > close for other in result):
-            result.append(place)
-    return result
 
 
 def within_bounds(view: PointView) -> PointView:
