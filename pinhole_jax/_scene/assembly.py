@@ -66,6 +66,8 @@ class Assembly:
         points = np.concatenate(places)
         return Scene(mesh=with_vertices(self._mesh, jnp.asarray(points, self._dtype)))
 
+    at = scene_at  # (its name so far)
+
 
 class Posture:
     """Bodies in one posture, as a function of the joints' zeros, which `fit_joint` may find.

@@ -96,6 +96,8 @@ class Robot:
             [np.asarray(poses[link]) @ place for link, place in self._at]
         )
 
+    at = scene_at  # (its name so far)
+
     def _checked(self, angles: Angles) -> dict[str, float]:
         """Checked angles by joint, without joints that follow others; ValueError for others."""
         if not isinstance(angles, Mapping):
