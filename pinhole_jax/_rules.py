@@ -26,7 +26,8 @@ class Rules:
     hard: float = 0.1
     #: A right camera leaves at most this many times the variance, or standard errors more than
     #: that on average; a proposal that leaves more, beside another one, is followed no further. At
-    #: first pixels count within this many times `outlier_px`: what was pulled away comes back.
+    #: first pixels count within this many times `outlier_px`: what was pulled away comes back. A
+    #: camera is a mode if it is as likely as one this many standard errors from the likeliest.
     times: float = 4.0
 
     # Which cameras are proposed
@@ -80,7 +81,7 @@ class Rules:
     #: The bias's standard deviation, in sizes of the other errors and in px beside that, and how
     #: likely it is: segmenters are off by as much as they waver, grown or shrunk masks by more.
     biases: tuple[tuple[float, float, float], ...] = ((1.0, 0.5, 0.8), (2.0, 2.5, 0.2))
-    #: This likely is sure: that a mask is computed, or drawn, or that no other camera is right.
+    #: So likely, a mask is called computed; as unlikely, drawn.
     sure: float = 0.99
     #: The share of a computed mask's pixels beside the outline on its wrong side: those whose
     #: coverage differs by more than `wrong_side`. (Of 72 masks one had one, of 196; shrunk or
@@ -153,7 +154,7 @@ class Rules:
     @property
     def drawn_times(self) -> float:
         """`equal_times` of a mask that a person or a network drew, whose errors are counted."""
-        return float(-2 * np.log(1 - self.sure))
+        return self.times**2
 
 
 RULES = Rules()

@@ -138,7 +138,7 @@ def likeliest(candidates: Sequence[Candidate], alike: int, start: Camera | None)
     far = [0.0 if start is None else angle(c.found.camera, start) for c in candidates]
     logs = [c.log - (x / RULES.start) ** 2 / 2 for c, x in zip(candidates, far, strict=True)]
     order = sorted(range(len(logs)), key=lambda k: -logs[k])
-    least = logs[order[0]] + np.log(1 - RULES.sure)
+    least = logs[order[0]] - RULES.times**2 / 2
     together = order[0] < alike and not is_drawn(candidates[order[0]].errors)
     kept: list[Candidate] = []
     for k in order:
