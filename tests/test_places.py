@@ -98,7 +98,7 @@ def test_noisy_mask_of_a_box_is_as_ambiguous_as_an_exact_one():
     for target in (mask, mask + 0.02 * noise, mask > 0.5):
         fit = pj.fit_camera(scene, target, None, phi=0.6)
         assert fit.status == "ambiguous"
-        assert len(fit.modes) == 3
+        assert sum(view.iou > fit.iou - 1e-3 for view in fit.modes) == 3
         assert min(degrees(view, CAMERA) for view in (fit, *fit.modes)) < 1
 
 

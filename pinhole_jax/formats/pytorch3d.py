@@ -28,7 +28,7 @@ from .pinhole import (
 
 SCHEMA = "pytorch3d.PerspectiveCameras"
 #: The arrays of a file, and the shape of each camera's.
-SHAPES = {
+SHAPES: dict[str, tuple[int, ...]] = {
     "R": (3, 3),
     "T": (3,),
     "focal_length": (2,),
