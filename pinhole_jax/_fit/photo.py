@@ -9,7 +9,7 @@ little, the view keeps its mask, and the fit says so. Views of one problem are r
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Protocol, Self, TypeAlias, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -135,7 +135,7 @@ class PhotoViews(Protocol):
         """What a view shows, on the finest level."""
         ...
 
-    def descended(self, images: Images, depths: Sequence[int], px: float, steps: int) -> Self:
+    def descended(self: V, images: Images, depths: Sequence[int], px: float, steps: int) -> V:
         """The views fitted to images, over levels that are numbered from the finest (1), with this
         many steps on each at most; those of `px` are negligible on the finest."""
         ...
@@ -193,7 +193,9 @@ class _SingleView:
     def outline(self, k: int) -> "Outline":
         return Outline.from_view(self.found.view)
 
-    def descended(self, images: Images, depths: Sequence[int], px: float, steps: int) -> Self:
+    def descended(
+        self, images: Images, depths: Sequence[int], px: float, steps: int
+    ) -> "_SingleView":
         colours = replace(self.solver.like(COLOURS), max_steps=steps)
         own = colours.weighed(*images[0], only_finest=max(depths) == 1)
         levels = range(max(own.finest + 1 - max(depths), 0), own.finest + 1)

@@ -3,7 +3,6 @@ views' camera gives, and the mattes are fitted together."""
 
 from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass, replace
-from typing import Self
 
 import numpy as np
 
@@ -26,7 +25,9 @@ class _ManyViews:
     def outline(self, k: int) -> Outline:
         return Outline.from_view(self.own.eyes[k].look(self.state))
 
-    def descended(self, images: Images, depths: Sequence[int], px: float, steps: int) -> Self:
+    def descended(
+        self, images: Images, depths: Sequence[int], px: float, steps: int
+    ) -> "_ManyViews":
         eyes, state, way = {}, self.state, self.way
         for k, image in images.items():
             eye = self.of_masks.eyes[k]
