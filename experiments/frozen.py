@@ -137,7 +137,8 @@ def memory(asked: Any) -> Iterator[Figure]:
 def near_symmetric(asked: Any) -> Iterator[Figure]:
     import honesty
 
-    found = honesty.near_symmetric(asked._replace(trials=10 if asked.quick else 200))
+    given = asked._replace(trials=10 if asked.quick else 200)
+    found = honesty.exact("near-symmetric", honesty.SHAPES, given)
     yield Figure("near-symmetric, lies", found["lies"], "fits")
     yield Figure("near-symmetric, converged", found["converged"], "fits", "higher", 1, 0.05)
     yield Figure("near-symmetric, right", found["right"], "fits", "higher", 1, 0.03)
@@ -155,14 +156,16 @@ def table_of(name: str, every: dict) -> Iterator[Figure]:
 def wrong_masks(asked: Any) -> Iterator[Figure]:
     import honesty
 
-    found = honesty.wrong_masks(asked._replace(trials=9 if asked.quick else 200))
+    given = asked._replace(trials=9 if asked.quick else 200)
+    found = honesty.wrong("wrong-masks", honesty.DRAWN, given)
     yield from table_of("wrong masks", found["table"]["all"])
 
 
 def occluders(asked: Any) -> Iterator[Figure]:
     import honesty
 
-    found = honesty.occluders(asked._replace(trials=48))["table"]["all"]
+    given = asked._replace(trials=48)
+    found = honesty.occluded("occluders", honesty.DRAWN, given)["table"]["all"]
     yield from table_of("occluders", found)
     yield Figure("occluders, noticed", found["told"], "fits", "higher", 2)
 
