@@ -124,7 +124,7 @@ class Rules:
     @property
     def too_far(self) -> float:
         """How far (rad) from a start a camera is ruled out: four standard errors."""
-        return 4 * self.start
+        return self.times * self.start
 
     @property
     def strides(self) -> np.ndarray:

@@ -61,8 +61,7 @@ def _sectors(edge: Edge) -> list[np.ndarray]:
 def _followed(solver: Solver, edge: Edge, begins: list[tuple[Camera, Window]]) -> list[Camera]:
     """Where the closest of some cameras lead to."""
     level = min(solver.far, max(solver.finest - 1, 0))
-    first, last = max(RULES.room * edge.size, 1.0), 1.0
-    scales = np.geomspace(first, last, 2 * RULES.steps)
+    scales = np.geomspace(max(RULES.room * edge.size, 1.0), 1.0, 2 * RULES.steps)
     stretch = _stretches(edge)
     for number in RULES.rounds:
         say(f"looking for something in front of the object: {len(begins)} guesses")

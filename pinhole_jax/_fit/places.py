@@ -215,7 +215,7 @@ def _nearly_free(solver: Solver, found: Solution, share: float | None = None) ->
     triangle = np.asarray(found.view.triangle, float)
     if not np.all(np.isfinite(triangle)):
         return []
-    weak = weak_moves(triangle, components(solver.freed), share or RULES.weak)
+    weak = weak_moves(triangle, components(solver.freed), share)
     return [_direction(solver, found, *pair) for pair in weak]
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .._camera.axes import angle
+from .._camera.axes import angle, distinct
 from .._camera.camera import Camera
 from .._mask.edges import NearWeights
 from .._mask.mask import Mask
@@ -140,11 +140,5 @@ def likeliest(candidates: Sequence[Candidate], alike: int, start: Camera | None)
     order = sorted(range(len(logs)), key=lambda k: -logs[k])
     least = logs[order[0]] - RULES.times**2 / 2
     together = order[0] < alike and not is_drawn(candidates[order[0]].errors)
-    kept: list[Candidate] = []
-    for k in order:
-        camera = candidates[k].found.camera
-        if (logs[k] >= least or (together and k < alike)) and all(
-            angle(camera, c.found.camera) > RULES.same for c in kept
-        ):
-            kept.append(candidates[k])
-    return kept
+    likely = [candidates[k] for k in order if logs[k] >= least or (together and k < alike)]
+    return list(distinct(likely, RULES.same, lambda candidate: candidate.found.camera))

@@ -115,10 +115,10 @@ def _weighed(stretches: Stretches, quantisation: float, odds: float) -> OutlineE
 
 def _hypotheses(model: "_Model", lengths: tuple[float, ...], own: tuple[float, ...]) -> _Hypotheses:
     """The hypotheses on a mask's errors: that it is computed, and all sizes, lengths, biases."""
-    none = np.zeros(1)
-    found = [model.hypotheses(0.0, none, none, none, np.full(1, 0.5))]
+    none, even = np.zeros(1), 0.5  # (computed or drawn: nothing speaks for one beforehand)
+    found = [model.hypotheses(0.0, none, none, none, np.full(1, even))]
     times, px, likely = np.array(RULES.biases).T
-    each = (1 - 0.5) / (len(RULES.sizes) * len(lengths) * len(own))
+    each = even / (len(RULES.sizes) * len(lengths) * len(own))
     sizes, shares, times = (x.ravel() for x in np.meshgrid(RULES.sizes, own, times, indexing="ij"))
     bias = np.hypot(times * sizes, np.resize(px, sizes.shape))
     prior = each * np.resize(likely, sizes.shape)
