@@ -13,6 +13,7 @@ from test_plot import AHEAD, SQUARE, fit_of, way_to
 import pinhole_jax as pj
 from pinhole_jax import formats, report
 from pinhole_jax._fit.words import STATUSES
+from pinhole_jax.show.trust import COLOURS
 
 NAMES = ("rotation_b2", "e_x", "e_z")
 MASK = np.zeros((80, 96), bool)
@@ -161,6 +162,10 @@ def test_bad_arguments_of_a_page_are_refused():
         report.page(FIT, SQUARE, MASK, np.zeros((9, 9), np.uint8))
 
 
+#: The colours of the map of trust.
+BANDS = [tuple(bytes.fromhex(colour[1:])) for colour in COLOURS]
+
+
 @pytest.mark.long
 def test_browser_shows_the_page(text, tmp_path):
     browser = next(filter(None, map(shutil.which, BROWSERS)), None)
@@ -189,6 +194,7 @@ def test_browser_shows_the_page(text, tmp_path):
     assert near((0, 240, 255)) > 300  # the outline
     assert near((230, 90, 20)) > 500  # the mask's error
     assert near((238, 242, 246)) > 5_000  # levels of the diagram
+    assert sum(map(near, BANDS)) > 50_000  # where the error shows
     assert near((255, 255, 255)) > 0.4 * shot[..., 0].size
 
     # In the dark, and 400 px wide: nothing is cut off.

@@ -50,7 +50,7 @@ def test_picture_names_its_bands_and_stays_with_what_is_determined():
     lost = np.diag([np.inf, 1e-6])
     trust = plot.trust(fit_at(CAMERA, lost, ("rotation_b1", "rotation_v")), SCENE)
     assert np.all(np.isfinite(trust.film))
-    bands = [float(x) for x in re.findall(r">([\d.e-]+) px</text>", trust._repr_svg_())]
+    bands = [float(x) for x in re.findall(r">&lt; ([\d.e-]+) px</text>", trust._repr_svg_())]
     assert bands == sorted(bands)
     assert bands[-1] >= trust.film.max()
     assert "units of the mesh" in str(trust)

@@ -105,7 +105,7 @@ def page(
     shown = trust(fit, scene)
     sections = {
         "Outline": _outline(fit, scene, photo),
-        "Where the error shows": figure(shown.picture, f"{shown} The map is of the film, px."),
+        "Where the error shows": figure(shown.picture, f"{shown} Colours: px on the film."),
         "Where mask and camera differ": differs,
         "Parameters": f"{parameters(fit, 'Fitted parameters with standard errors')}<p>Pitch, yaw"
         f" and roll are the camera's in the world. {_assumption(fit)}</p><h3>K, R and t, and the"

@@ -116,9 +116,12 @@ dl{display:flex;flex-wrap:wrap;gap:8px 36px;margin:0}
 dt{font-size:13px;color:var(--muted)}dd{margin:0;font-size:20px}
 figure{margin:0 0 18px}img{max-width:100%;height:auto;display:block;border-radius:4px}
 svg{width:100%;min-width:520px;height:auto}.diagram{overflow-x:auto}
-.diagram svg text{fill:var(--muted)}.diagram svg line{stroke:var(--paper)}
-.diagram svg rect{fill:var(--one)}.diagram svg rect:nth-of-type(even){fill:var(--two)}
-.diagram svg polyline{stroke:var(--curve)}.diagram svg circle{fill:var(--curve)}
+.diagram svg text{fill:var(--muted)}
+[aria-label=convergence] line{stroke:var(--paper)}
+[aria-label=convergence] rect{fill:var(--one)}
+[aria-label=convergence] rect:nth-of-type(even){fill:var(--two)}
+[aria-label=convergence] polyline{stroke:var(--curve)}
+[aria-label=convergence] circle{fill:var(--curve)}
 figcaption,p,li{font-size:15px}li::first-letter{text-transform:uppercase}figcaption,footer,caption,small{color:var(--muted)}
 .wide{overflow-x:auto}
 table{border-collapse:collapse;font-size:14px;font-variant-numeric:tabular-nums}

@@ -142,7 +142,7 @@ def _picture(camera: Camera, sigma: np.ndarray, lines: np.ndarray) -> Svg:
     for k, end in enumerate(ends):
         box = f'x="{k * wide:.1f}" y="{height + 10:.1f}" width="14" height="14"'
         words = f'<text x="{k * wide + 19:.1f}" y="{height + 22:.1f}">'
-        parts.append(f'<rect {box} fill="{COLOURS[k]}"/>{words}{end:.3g} px</text>')
+        parts.append(f'<rect {box} fill="{COLOURS[k]}"/>{words}&lt; {end:.3g} px</text>')
     return Svg(
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH:g} {height + 30:.0f}"'
         ' role="img" aria-label="one sigma over the film, px" font-family="sans-serif"'
