@@ -137,7 +137,8 @@ def show(rows: Iterable[dict]) -> None:
 
 
 def curves(path: Path, *panels: tuple[str, str, str, dict[str, tuple]]) -> None:
-    """Draw panels: title, label of x, scale ("loglog", "semilogy", "plot"), curves by name."""
+    """Draw panels: title, label of x, scale ("loglog", "semilogy", "plot"), curves by name: x, y
+    and Matplotlib's format, if any. The legends stand below, where they hide no curve."""
     try:
         import matplotlib
     except ImportError:
@@ -146,14 +147,15 @@ def curves(path: Path, *panels: tuple[str, str, str, dict[str, tuple]]) -> None:
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    size = (4.6 * len(panels), 3.6)
+    columns = 3
+    size = (4.6 * len(panels), 3.6 + 0.17 * max(len(x[-1]) // columns for x in panels))
     figure, axes = plt.subplots(1, len(panels), figsize=size, squeeze=False, layout="constrained")
     for axis, (title, label, scale, lines) in zip(axes[0], panels, strict=True):
-        for name, (x, y) in lines.items():
-            getattr(axis, scale)(x, y, "o-", label=name)
+        for name, (x, y, *style) in lines.items():
+            getattr(axis, scale)(x, y, *(style or ["o-"]), label=name, markersize=4)
         axis.set(title=title, xlabel=label)
         axis.grid(alpha=0.3)
-        axis.legend(fontsize=7)
+        axis.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=columns)
     figure.savefig(path, dpi=100)
 
 

@@ -341,15 +341,31 @@ def ranked(asked: Asked) -> dict:
     return {"verdict": f"{'; '.join(words)} {asked_for}", "table": table}
 
 
+PARAMETERS = ("rotation_b1", "rotation_b2", "rotation_v", "e_x", "e_y", "e_z", "phi")
+#: Each quantity's line in the picture.
+COLOURS = {
+    **{name: f"C{k}-" for k, name in enumerate(PARAMETERS)},
+    **{name: f"C{k}--" for k, name in enumerate(USED)},
+    "Mahalanobis": "k-",
+}
+
+
 def draw_ranks(found: dict, path: Path) -> None:
     panels, quarters = [], {}
-    for kind, row in found["table"].items():
-        lines = {name: (GRID, x["ECDF - x"]) for name, x in row["quantities"].items()}
-        for end, y in zip(("from", "to"), row["quantities"]["Mahalanobis"]["band"], strict=True):
-            lines[f"99 % band, {end}"] = (GRID, y)
+    for (kind, row), dash in zip(found["table"].items(), ("-", "--", ":"), strict=False):
+        known, lines = row["quantities"], {}
+        for name, colour in COLOURS.items():
+            if name in known:
+                lines[name] = (GRID, known[name]["ECDF - x"], colour)
+        for end, y in zip(("99 % band", "_"), known["Mahalanobis"]["band"], strict=True):
+            lines[end] = (GRID, y, "k:")
         panels.append((f"{kind}: ECDF of ranks - uniform", "rank", "plot", lines))
-        quarters |= {f"{kind}: {name}": (range(1, 5), x) for name, x in row["quarters"].items()}
-    curves(path, *panels, ("95 % intervals that hold", "quarter of fits", "plot", quarters))
+        for k, name in enumerate(DIFFICULTIES):
+            if name in row["quarters"]:
+                quarter = row["quarters"][name]
+                quarters[f"{kind}: {name}"] = (["1", "2", "3", "4"], quarter, f"C{k}o{dash}")
+    words = "quarter of fits, from least to most of it"
+    curves(path, *panels, ("95 % intervals that hold", words, "plot", quarters))
 
 
 # Covariance as a matrix: refits under the noise that it assumes
