@@ -98,12 +98,14 @@ class Blocks:
 @dataclass(frozen=True, eq=False)
 class OutlinePoints:
     """Points of the outline that a camera sees: `at` (n, 2) px, normals `out` (n, 2) outwards, and
-    how far these go outwards `by_move` (n, k) of the solver; its `length` (px)."""
+    how far these go outwards `by_move` (n, k) of the solver; its `length`, and how far apart they
+    are at most, their `gap` (px)."""
 
     at: np.ndarray
     out: np.ndarray
     by_move: np.ndarray
     length: float
+    gap: float
 
     @cached_property
     def tree(self) -> Any:
@@ -166,16 +168,20 @@ def outline_seen(solver: Solver, camera: Camera, number: int) -> OutlinePoints |
     by_move = around.rows / np.maximum(around.steepness, 1e-3)[:, None]
     at = place[:, ::-1] + 0.5 + np.asarray(level.origin, float)
     points = px * (at + out * (share - 0.5)[:, None])
-    return OutlinePoints(points, out, px * by_move, px * float(np.sum(around.steepness)))
+    return OutlinePoints(points, out, px * by_move, px * float(np.sum(around.steepness)), px)
 
 
 def matched(edge: Edge, outline: OutlinePoints) -> Pairs:
-    """The points of an edge beside the nearest of an outline, whose normals count, too."""
+    """The points of an edge beside the nearest of an outline, whose normals count, too.
+
+    Along the outline they lie off only by what exceeds the gap between its points.
+    """
     nearest = outline.tree.query(np.column_stack([edge.at, TURN_PX * edge.out]))[1]
     at, out = outline.at[nearest], outline.out[nearest]
     away = edge.at - at
     across = np.sum(away * out, axis=1)
-    off = np.copysign(np.maximum(np.abs(across), np.linalg.norm(away, axis=1)), across)
+    along = np.abs(away[:, 0] * out[:, 1] - away[:, 1] * out[:, 0])
+    off = np.copysign(np.hypot(across, np.maximum(along - outline.gap, 0)), across)
     return Pairs(off, outline.by_move[nearest], np.sum(edge.out * out, axis=1) > FACES)
 
 
