@@ -98,9 +98,7 @@ class Agreement:
         """
         if self.excess <= 1 or not self.problem.widens:
             return 1.0
-        from scipy.stats import t
-
-        return (self.excess * float(t.ppf(0.975, self.freedom)) / NORMAL_95) ** 2
+        return (self.excess * width_by_few(self.freedom)) ** 2
 
     def covariance(self, place: np.ndarray) -> np.ndarray:
         """The covariance (p, p) of some unknowns that the masks' errors, and priors, leave (the
@@ -178,6 +176,14 @@ class _Sandwich:
             influence = solved.inverse(place, error.columns) @ error.by
             result += influence @ error.covariance @ influence.T
         return times * result
+
+
+def width_by_few(freedom: float) -> float:
+    """The width of a 95 % interval where this many numbers show the variance (Student's t), in that
+    of a normal distribution."""
+    from scipy.stats import t
+
+    return float(t.ppf(0.975, freedom)) / NORMAL_95
 
 
 def agree(

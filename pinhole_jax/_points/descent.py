@@ -4,7 +4,6 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from .._joint.levels import REACHES
@@ -41,7 +40,6 @@ class PointDescent(NamedTuple):
 
 
 def descend(
-    problem: PointProblem,
     views: list[PointView],
     reach: float | None,
     variance: float | None,
@@ -54,9 +52,12 @@ def descend(
     coordinate of weight 1; both None if unknown. Views that other places fit better, or as well and
     nearer to the start, go on from there.
     """
-    given, way = [view.weight for view in views], [(views, 0)]
+    problem = PointProblem.from_views(views)
+    given, way = [view.given.weight for view in views], [(views, 0)]
     for times in (1,) if reach is None else REACHES:
-        views = views if reach is None else _drop_outliers(views, given, times * reach)
+        if reach is not None:
+            pairs = zip(views, given, strict=True)
+            views = [_without_outliers(*pair, times * reach) for pair in pairs]
         views, steps = _descend_together(problem, views, variance, most, tell)
         way.append((views, steps))
     jumps = 0
@@ -64,7 +65,7 @@ def descend(
         noise = noise_of(problem, views, variance)
         limits = [rms_limit(view, variance, reach) for view in views]
         each = zip(views, limits, strict=True)
-        places = [rivals(problem, view, noise, limit) for view, limit in each]
+        places = [rivals(view, noise, limit) for view, limit in each]
         first = [best for best, *_ in places]
         if jumps == JUMPS or all(a is b for a, b in zip(first, views, strict=True)):
             break
@@ -81,26 +82,22 @@ def _descend_together(
 ) -> tuple[list[PointView], int]:
     """Views where the squares of all are least, and the number of steps."""
     steps = 0
-    for k in range(ROUNDS if views[0].prior is not None else 1):
+    for k in range(1 if views[0].prior is None else ROUNDS):
         views = _weigh_prior(problem, views, variance, k)
         found = levenberg_marquardt(problem, views, most, FINE_PX[problem.dtype])
         views, steps = found.state, steps + found.steps
-    rms = (squares_of(views) / sum(float(np.sum(view.weight)) for view in views)) ** 0.5
+    rms = (squares_of(views) / sum(view.weight for view in views)) ** 0.5
     tell(f"{len(views)} views: {steps} steps, {rms:.3g} px")
     return views, steps
 
 
-def _drop_outliers(
-    views: list[PointView], given: list[np.ndarray], reach: float
-) -> list[PointView]:
-    """Views in which points count that are no farther than this from where they are seen
-    (px), of their given weights; half of them in any case."""
-    result = []
-    for view, weight in zip(views, given, strict=True):
-        off = view._replace(weight=weight).distances()
-        middle = float(np.median(off[weight > 0]))
-        result.append(view._replace(weight=np.where(off <= max(reach, middle), weight, 0.0)))
-    return result
+def _without_outliers(view: PointView, weight: np.ndarray, reach: float) -> PointView:
+    """The view in which points count, by their given weight, that are no farther than this from
+    where they are seen (px); half of them in any case."""
+    view = view.weighed(weight)
+    off = view.distances()
+    middle = float(np.median(off[view.counts]))
+    return view.weighed(np.where(off <= max(reach, middle), weight, 0.0))
 
 
 def _weigh_prior(
@@ -111,18 +108,17 @@ def _weigh_prior(
     If only priors leave coordinates over, they hold the free parameters in round 0: the noise that
     round 1 estimates is then no less than the true one.
     """
-    prior = views[0].prior
+    prior, left = views[0].prior, left_over(problem, views)
     if prior is None:
         return views
-    left, rows = left_over(problem, views), prior_rows(problem, views)
+    with_priors = left + prior_rows(views)
     if given is not None or left > 0:
         px = noise_of(problem, views, given).variance ** 0.5
-    elif left + rows > 0 and round_number == 0:
-        px = HOLDS * views[0].film.H * float(np.max(prior.std))
-    elif left + rows > 0 and round_number == 1:
-        px = Noise(squares_of(views) / (left + rows), left + rows).variance ** 0.5
-    else:
+    elif with_priors <= 0 or round_number > 1:
         return views
-    noise = jnp.asarray(px, views[0].film.e.dtype)
-    put = lambda view: eqx.tree_at(lambda p: p.noise, view.prior, noise)
-    return [view._replace(prior=put(view)) for view in views]
+    elif round_number == 0:
+        px = HOLDS * float(views[0].H) * float(np.max(prior.std))
+    else:
+        px = Noise(squares_of(views) / with_priors, with_priors).variance ** 0.5
+    noise = np.asarray(px, problem.dtype)
+    return [v._replace(prior=eqx.tree_at(lambda p: p.noise, v.prior, noise)) for v in views]

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -23,15 +23,16 @@ from .._fit.result import (
 )
 from .._joint.lenses import known_by_others, with_shared
 from .._numerics.arrays import ArrayLike, Input, checked, is_concrete
+from .._numerics.pointwise import room
 from .._rules import RULES
 from .._solver.least_squares import solve
-from .._solver.moves import on_film
+from .._solver.moves import camera_velocity, on_film
 from .._solver.parameters import check_free, components, labels_of
 from .._solver.priors import Pair, bounds_of, prior_of
 from .._solver.uncertainty import BLIND, covariance, weak_directions
 from .descent import PointDescent, descend
 from .noise import FEW, Noise, beyond_noise, coordinates
-from .reprojection import PointArrays, PointProblem, PointRows, PointView
+from .reprojection import PointArrays, PointProblem, PointView
 from .starts import begin
 
 #: What several views share by default: the intrinsics of one physical camera.
@@ -155,23 +156,24 @@ def fit_points(
 
     def run(inputs: Any) -> tuple[tuple[PointFit, ...], PointDescent]:
         given = _checked(*inputs)
-        cameras = {str(k): c for k, c in enumerate(_cameras(camera, len(given)))}
-        several = INTRINSICS if len(given) > 1 else ()
-        shared_names = several if shared is None else shared
-        freed, common, cameras = with_shared(cameras, free, shared_names)
+        number, scale = len(given.weight), _usual_weight(given)
+        several = INTRINSICS if number > 1 else ()
+        cameras = {str(k): c for k, c in enumerate(_cameras(camera, number))}
+        freed, common, cameras = with_shared(cameras, free, several if shared is None else shared)
         check_free(freed, cameras["0"])
-        views, scale = [], _scale(given)
-        for one, c in zip(given, cameras.values(), strict=True):
-            view = PointView.from_points(c, one._replace(weight=one.weight / scale), freed)
-            known = prior_of(prior, c, freed, tuple(common), len(given))
-            view = view._replace(bounds=bounds_of(bounds, c, freed), prior=known)
+        alone, views = tuple(name for name in freed if name not in common), []
+        for c, points, seen_at, weight in zip(cameras.values(), *given, strict=True):
+            known = prior_of(prior, c, freed, tuple(common), number)
+            arrays, limits = (
+                PointArrays(points, seen_at, weight / scale),
+                bounds_of(bounds, c, freed),
+            )
+            view = PointView.from_points(c, arrays, freed, alone, limits, known)
             views.append(begin(view, outlier_px is not None))
         variance = None if noise_px is None else noise_px**2 / scale
-        alone = tuple(name for name in freed if name not in common)
-        problem = PointProblem.from_views(views, alone)
         with shown(progress, "fitting points") as tell:
-            found = descend(problem, views, outlier_px, variance, max_steps, tell or say)
-        return _reports(found, given), found
+            found = descend(views, outlier_px, variance, max_steps, tell or say)
+        return _reports(found, [*cameras.values()], given.weight), found
 
     inputs = points3d, points2d, weights
     if is_concrete(*inputs):
@@ -188,28 +190,26 @@ def _velocity(
     fits: tuple[PointFit, ...], found: PointDescent, inputs: Any, velocity: Any
 ) -> tuple[Camera, ...]:
     """The cameras' rates of change with the inputs."""
-    given, dtype = _checked(*inputs), fits[0].camera.e.dtype
-
-    def in_each(change: Any, array: np.ndarray, scale: float) -> Sequence[Any]:
-        if change is None:
-            return [None] * len(given)
-        shape = len(given), *array.shape
-        return list(jnp.broadcast_to(jnp.asarray(change, dtype) / scale, shape))
-
-    units = 1.0, 1.0, _scale(given)
-    each = zip(*map(in_each, velocity, given[0], units), strict=True)
-    pairs = enumerate(zip(found.views, each, strict=True))
+    given, dtype, rates = _checked(*inputs), fits[0].camera.e.dtype, []
+    units = 1.0, 1.0, _usual_weight(given)
+    for change, array, unit in zip(velocity, given, units, strict=True):
+        change = np.zeros((), dtype) if change is None else jnp.asarray(change, dtype) / unit
+        rate = jnp.broadcast_to(change, array.shape)
+        more = room(array.shape[1]) - array.shape[1]
+        rates.append(jnp.pad(rate, [(0, 0), (0, more), *[(0, 0)] * (rate.ndim - 2)]))
     slopes = [
-        view.slope(PointArrays(*moving), found.problem.columns(k)) for k, (view, moving) in pairs
+        view.slope(PointArrays(*(rate[k] for rate in rates)), found.problem.columns(k))
+        for k, view in enumerate(found.views)
     ]
-    steps = zip(found.views, steps_of(slopes), strict=True)
-    return tuple(view.camera_velocity(step) for view, step in steps)
+    return tuple(
+        camera_velocity(view.plain_move(), fit.camera, view.freed, step)
+        for fit, view, step in zip(fits, found.views, steps_of(slopes), strict=True)
+    )
 
 
-def _scale(given: list[PointArrays]) -> float:
+def _usual_weight(given: PointArrays) -> float:
     """The mean of all weights that count: what weights are times is nothing."""
-    weights = np.concatenate([one.weight for one in given])
-    return float(np.mean(weights[weights > 0]))
+    return float(np.mean(given.weight[given.weight > 0]))
 
 
 def _cameras(camera: Any, count: int) -> list[Camera]:
@@ -225,163 +225,139 @@ def _cameras(camera: Any, count: int) -> list[Camera]:
     return list(cameras)
 
 
-def _checked(
-    points3d: ArrayLike, points2d: ArrayLike, weights: ArrayLike | None
-) -> list[PointArrays]:
-    """Each view's points in float64, NaN and a weight of 0 where not seen. Raises ValueError for
-    others."""
-    many = np.ndim(points2d) == 3
+def _checked(points3d: ArrayLike, points2d: ArrayLike, weights: ArrayLike | None) -> PointArrays:
+    """All views' points (V, N, .) in float64, NaN and a weight of 0 where not seen. Raises
+    ValueError for others."""
     seen_at = np.asarray(points2d)
     if seen_at.dtype.kind not in "fiu" or seen_at.ndim not in (2, 3) or seen_at.shape[-1] != 2:
         raise ValueError(
             "`points2d`: expected real numbers of shape (N, 2), or (V, N, 2) for V views, got"
             f" shape {seen_at.shape}, dtype {seen_at.dtype}"
         )
-    seen_at = np.array(seen_at if many else seen_at[None], float)
-    V, N = seen_at.shape[:2]
+    seen_at = np.array(seen_at, float, ndmin=3)
+    V, N, _ = seen_at.shape
     if np.any(np.isinf(seen_at)):
         raise ValueError("`points2d`: expected finite values, or NaN where not seen, got inf")
-    shape = (V, N, 3) if np.ndim(points3d) == 3 else (N, 3)
-    points = np.asarray(checked("points3d", points3d, shape, np.dtype(np.float64)), float)
 
-    seen_at[np.isnan(seen_at).any(axis=-1)] = np.nan
-    weight = np.where(np.isnan(seen_at[..., 0]), 0.0, _weights(weights, V, N))
-    few = np.sum(weight > 0, axis=1)
-    if V == 0 or np.any(few < 3):
-        k = int(np.argmin(few)) if V else 0
-        raise ValueError(
-            "`points2d`: expected at least 3 points in each view, got"
-            f" {few[k] if V else 'no view'} in view {k}"
-        )
-    points = np.broadcast_to(points, (V, N, 3))
-    return [PointArrays(*each) for each in zip(points, seen_at, weight, strict=True)]
+    def in_each(name: str, value: ArrayLike, *shape: int) -> np.ndarray:
+        whole = (V, *shape)
+        known = whole if np.ndim(value) == len(whole) else shape
+        array = np.asarray(checked(name, value, known, np.dtype(np.float64)), float)
+        return np.broadcast_to(array, whole)
 
-
-def _weights(weights: ArrayLike | None, V: int, N: int) -> np.ndarray:
-    """Weights that broadcast to (V, N), or raise ValueError."""
-    if weights is None:
-        return np.ones(N)
-    shape = (V, N) if np.ndim(weights) == 2 else (N,)
-    weight = np.asarray(checked("weights", weights, shape, np.dtype(np.float64)), float)
+    points = in_each("points3d", points3d, N, 3)
+    weight = in_each("weights", np.ones(N) if weights is None else weights, N)
     if np.any(weight < 0):
         raise ValueError(f"`weights`: expected none below 0, got {weight.min()}")
-    return weight
+    seen_at[np.isnan(seen_at).any(axis=-1)] = np.nan
+    weight = np.where(np.isnan(seen_at[..., 0]), 0.0, weight)
+    number = np.sum(weight > 0, axis=1)
+    if not np.min(number, initial=3 if V else 0) >= 3:
+        views = ", ".join(map(str, number)) or "no view"
+        raise ValueError(f"`points2d`: expected at least 3 points in each view, got {views}")
+    return PointArrays(points, seen_at, weight)
 
 
-def _reports(found: PointDescent, given: list[PointArrays]) -> tuple[PointFit, ...]:
-    """The fits of all views, and of their other places."""
+class _Others(NamedTuple):
+    """What all views say of the moves that they share, as such.
+
+    - `known` (s, n): the root of what the others know of a view's.
+    - `slope` (n,): half the derivative of all views' squares; `beyond` (s, s): the root of the
+      covariance beyond that of independent errors.
+    - `squares` of this `number` of residuals, and how points err.
+    """
+
+    known: np.ndarray
+    slope: np.ndarray
+    beyond: np.ndarray
+    squares: float
+    number: float
+    noise: Noise
+
+
+def _reports(found: PointDescent, films: list[Camera], weights: np.ndarray) -> tuple[PointFit, ...]:
+    """The fits of all views, and of their other places, on their films; points had these `weights`
+    (V, N)."""
     problem, views, own = found.problem, found.views, found.problem.own
     seen = problem.look(views)
     parts = problem.parts(views, seen, 1.0)
+    squares, count = sum(x.squares for x in seen), 2.0 * sum(len(v.counts) for v in views)
+    if not np.isfinite(squares):
+        return tuple(_without_answer(*pair) for pair in zip(views, films, strict=True))
     solved = solve(parts, problem.size, np.zeros(problem.size))
+    slope = np.sum([part.left @ part.rows for part in parts], axis=0)
     beyond = beyond_noise(parts, solved, found.noise)
-    slope = np.sum([part.left @ part.rows[:, ~own] for part in parts], axis=0)
-    whole = sum(each.squares for each in seen), 2.0 * sum(view.number for view in views)
     spare = () if found.noise.freedom > 0 else (_none_left_over(problem, views),)
 
     fits = []
-    for k, view in enumerate(views):
-        known = np.zeros((len(own), len(own)))[: np.sum(~own)]
-        known[:, ~own] = known_by_others(solved, parts[k], ~own)
-        places = [(view, seen[k]), *((other, other.look()) for other in found.others[k])]
-        fit, *modes = (
-            _report(
-                place,
-                _join_others(look, known, slope, own),
-                _moves_by_shared(look, own) @ beyond,
-                found.noise,
-                found.limits[k],
-                *whole,
-            )
-            for place, look in places
-        )
-        words = (*_left_out(view.number, int(np.sum(given[k].weight > 0))), *spare)
+    for k, (view, film) in enumerate(zip(views, films, strict=True)):
+        known = known_by_others(solved, parts[k], ~own) @ np.eye(len(own))[~own]
+        others = _Others(known, slope, beyond, squares, count, found.noise)
+        places = view, *found.others[k]
+        fit, *modes = (_report(x, film, others, own, found.limits[k]) for x in places)
+        given = int(np.sum(weights[k] > 0))
+        if left_out := given - len(view.counts):
+            words = f"{left_out} of {given} points are far from where they are seen, and left out"
+            fit = fit._replace(weak=(*fit.weak, words))
         way = tuple(
-            Progress(on_film(there[k].camera, view.film), view.film.W, view.film.H, steps)
+            Progress(on_film(there[k].camera, film), film.W, film.H, steps)
             for there, steps in found.way
         )
-        fit = fit._replace(history=way, weak=(*fit.weak, *words))
-        fits.append(with_modes(fit, modes))
+        fits.append(with_modes(fit._replace(history=way, weak=(*fit.weak, *spare)), modes))
     return tuple(fits)
-
-
-def _join_others(
-    seen: PointRows, known: np.ndarray, slope: np.ndarray, own: np.ndarray
-) -> PointRows:
-    """What is seen, with what other views know (., n) of moves as such, and with the `slope` of all
-    views' squares by those that are shared."""
-    scale = np.asarray(seen.scale, float)
-    triangle, along = (np.asarray(x, float) for x in (seen.triangle, seen.along))
-    gradient = np.where(own, triangle.T @ along, 0.0)
-    gradient[~own] = slope * scale[~own]
-    whole: Any = np.linalg.qr(np.concatenate([triangle, known * scale]), mode="r")
-    # (As NumPy's: within `grad` JAX's would be traced, and no report could look at them.)
-    return seen._replace(triangle=whole, along=np.linalg.lstsq(whole.T, gradient, rcond=None)[0])
-
-
-def _moves_by_shared(seen: PointRows, own: np.ndarray) -> np.ndarray:
-    """The derivative of a view's moves (n,) by shared ones as such (s,), its own following."""
-    scale = np.asarray(seen.scale, float)
-    rows = np.asarray(seen.triangle, float) / scale
-    result = np.eye(len(own))[:, ~own]
-    result[own] = -np.linalg.pinv(rows[:, own]) @ rows[:, ~own]
-    return result / scale[:, None]
 
 
 def _none_left_over(problem: PointProblem, views: list[PointView]) -> str:
     """A sentence: nothing shows how far points err."""
     some, unknowns = coordinates(views), problem.size
-    repeated = " (repeated points count once)" if some < 2 * sum(v.number for v in views) else ""
+    repeated = (
+        " (repeated points count once)" if some < 2 * sum(len(v.counts) for v in views) else ""
+    )
     return (
         f"{some} coordinates{repeated} for {unknowns} unknowns: none is left over to show how far"
         " points err, so there are no error bars; `noise_px` gives them"
     )
 
 
-def _left_out(number: int, given: int) -> list[str]:
-    """Sentences on how many points do not count."""
-    words = f"{given - number} of {given} points are far from where they are seen, and left out"
-    return [] if number == given else [words]
+def _without_answer(view: PointView, film: Camera) -> PointFit:
+    """The fit of a view that no step could be taken in."""
+    labels, camera = labels_of(view.freed), on_film(view.camera, film)
+    nothing = np.full((len(labels), len(labels)), np.nan)
+    known = {"names": labels, "covariance": nothing, "rms_px": float("nan")}
+    return PointFit(camera=camera, status="non_finite", **known)
 
 
 def _report(
-    view: PointView,
-    seen: PointRows,
-    beyond: np.ndarray,
-    noise: Noise,
-    limit: float,
-    squares: float,
-    count: float,
+    view: PointView, film: Camera, others: _Others, own: np.ndarray, limit: float
 ) -> PointFit:
-    """The fit of a view, given what is seen there and what other views know.
+    """The fit of a view on its film; a misfit above the rms `limit` (px)."""
+    freed, noise, seen = view.freed, others.noise, view.look()
+    labels, camera, blind = labels_of(freed), on_film(view.camera, film), BLIND[film.e.dtype]
+    triangle, along, scale = (np.asarray(x, float) for x in (seen.triangle, seen.along, seen.scale))
+    by_shared = np.eye(len(own))[:, ~own]  # moves (n, s) by shared ones, the view's own following
+    by_shared[own] = -np.linalg.pinv(triangle[:, own] / scale[own]) @ (triangle / scale)[:, ~own]
 
-    `beyond` (n, s) is the root of its moves' covariance beyond that of independent errors. Above
-    the rms `limit` (px) it is a misfit; `squares` is the sum of this many residuals' squares of all
-    views.
-    """
-    freed, dtype = view.freed, np.dtype(view.film.e.dtype)
-    triangle, ended = without_ended(seen.triangle, view.camera, freed, view.bounds)
-    along = np.asarray(seen.along, float)
-    labels, camera = labels_of(freed), on_film(view.camera, view.film)
-    if not (np.isfinite(squares) and np.all(np.isfinite(triangle))):
-        nothing = np.full((len(labels), len(labels)), np.nan)
-        known = {"names": labels, "covariance": nothing, "rms_px": float("nan")}
-        return PointFit(camera=camera, status="non_finite", **known)
-    blind, weak = weak_directions(triangle, components(freed), axes_of(camera), BLIND[dtype])
+    gradient = np.where(own, triangle.T @ along, others.slope * scale)
+    whole: Any = np.linalg.qr(np.concatenate([triangle, others.known * scale]), mode="r")
+    # (As NumPy's: within `grad` JAX's would be traced, and no report could look at them.)
+    along = np.linalg.lstsq(whole.T, gradient, rcond=None)[0]
+    triangle, ended = without_ended(whole, view.camera, freed, view.bounds)
+    unseen, weak = weak_directions(triangle, components(freed), axes_of(camera), blind)
     reported = to_units(seen.to_reported, freed, camera)
-    cov = covariance(triangle, reported, triangle.T @ triangle, BLIND[dtype])
-    cov += reported @ beyond @ (reported @ beyond).T
+    spread = reported / scale @ by_shared @ others.beyond
+    cov = covariance(triangle, reported, triangle.T @ triangle, blind) + spread @ spread.T
     # (Where nothing shows how points err, nothing is known.)
-    known = np.isfinite(noise.variance)
-    cov = noise.variance * cov if known else np.where(np.eye(len(cov)) > 0, np.inf, np.nan)
-    rms = float(np.sqrt(float(seen.sum_squares) / np.sum(view.weight)))
-    status, words = _judge(cov, labels, camera, noise)
-    if blind:
+    is_known = np.isfinite(noise.variance)
+    cov = noise.variance * cov if is_known else np.where(np.eye(len(cov)) > 0, np.inf, np.nan)
+
+    rms = float(np.sqrt(float(seen.sum_squares) / view.weight))
+    status, words = _status_by_error_bars(cov, labels, camera, noise)
+    if unseen:
         status = "rank_deficient"
     if rms > limit:
         status = "misfit"
         words = (f"points lie {rms:.3g} px (rms) from where they are seen: {WRONG}",)
-    if not at_rest(triangle, along, squares, count, dtype):
+    if not at_rest(triangle, along, others.squares, others.number, film.e.dtype):
         status = "max_steps"
     if not float(seen.nearest) > 0:
         status = "behind"
@@ -395,7 +371,7 @@ def _report(
     )
 
 
-def _judge(
+def _status_by_error_bars(
     cov: np.ndarray, labels: tuple[str, ...], camera: Camera, noise: Noise
 ) -> tuple[str, tuple[str, ...]]:
     """A status by the error bars alone, and words about them."""

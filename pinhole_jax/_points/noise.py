@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._joint.agreement import NORMAL_95
+from .._joint.agreement import width_by_few
 from .._solver.least_squares import LinearSolution, Rows
 from .._solver.parameters import labels_of
 from .._solver.problem import FINE_PX
@@ -67,11 +67,9 @@ class Noise(NamedTuple):
 
 
 def _widening(freedom: float) -> float:
-    """The width of a 95 % interval where this many coordinates show the variance (Student's t), in
-    that of a normal distribution."""
-    from scipy.stats import t
-
-    return float(t.ppf(0.975, freedom)) / NORMAL_95 if 0 < freedom <= FEW else 1.0
+    """The width of a 95 % interval where this many coordinates show the variance, in that of one
+    where it is known."""
+    return width_by_few(freedom) if 0 < freedom <= FEW else 1.0
 
 
 def noise_of(problem: PointProblem, views: Sequence[PointView], given: float | None) -> Noise:
@@ -81,9 +79,9 @@ def noise_of(problem: PointProblem, views: Sequence[PointView], given: float | N
         return Noise(given, np.inf)
     left = left_over(problem, views)
     if left > 0:
-        count = 2 * sum(int(np.sum(_shows(view))) for view in views)
+        count = 2 * sum(len(_telling(view)) for view in views)
         return Noise(squares_of(views) / (count - problem.size), left)
-    prior, left = views[0].prior, left + prior_rows(problem, views)
+    prior, left = views[0].prior, left + prior_rows(views)
     if prior is None or left <= 0:
         return Noise(np.inf, 0)
     return Noise((float(prior.noise) / _widening(left)) ** 2, left)
@@ -96,33 +94,34 @@ def beyond_noise(parts: list[Rows], solved: LinearSolution, noise: Noise) -> np.
     Each view is a cluster: the sandwich of Bell and McCaffrey (2002), which has no bias where
     errors are independent. Of few views it is noisy, so it is drawn towards its mean.
     """
-    size = len(solved.shared)
-    if not (size and 0 < noise.shown < np.inf and noise.freedom < np.inf):
-        return np.zeros((size, size))
-    back, pulls, each, against = np.linalg.pinv(solved.triangle), [], [], []
+    from scipy.stats import f
+
+    nothing = np.zeros(solved.triangle.shape)
+    if not (nothing.size and 0 < noise.shown < np.inf and noise.freedom < np.inf):
+        return nothing
+    back, pulls, shares, against = np.linalg.pinv(solved.triangle), [], [], []
     for part in parts:  # in shared moves whose covariance is 1, all but these eliminated
         left = part.left + part.rows @ solved.x[part.columns]
         table = np.column_stack([part.rows[:, part.own], part.rows[:, ~part.own] @ back, left])
         whole: Any = np.linalg.qr(table, mode="r")
         r = whole[np.sum(part.own) :, np.sum(part.own) :]
-        values, vectors = np.linalg.eigh(r[:, :-1].T @ r[:, :-1])
-        known, vectors = values[values < 1 - OTHERS], vectors[:, values < 1 - OTHERS]
-        pulls.append(vectors @ ((vectors.T @ r[:, :-1].T @ r[:, -1]) / (1 - known) ** 0.5))
-        each.append(known)
-        against.append(vectors * (known**2 / (1 - known)) @ vectors.T)
-    from scipy.stats import f
+        share, vectors = np.linalg.eigh(r[:, :-1].T @ r[:, :-1])
+        counts = share < 1 - OTHERS
+        share = share * counts
+        pulls.append(vectors @ (counts * (vectors.T @ r[:, :-1].T @ r[:, -1]) / (1 - share) ** 0.5))
+        shares.append(share)
+        against.append(vectors * (share**2 / (1 - share)) @ vectors.T)
+    if not (mean := float(np.sum(shares))) > 0:
+        return nothing
 
     # Were errors independent, the squares would be `mean` times chi2 / `freedom` (Satterthwaite).
-    if not any(map(len, each)):
-        return np.zeros((size, size))
-    mean = sum(float(np.sum(known)) for known in each)
     spread = np.sum(np.sum(against, axis=0) ** 2) - np.sum(np.square(against))
-    freedom = mean**2 / (spread + sum(float(np.sum(known**2)) for known in each))
+    freedom = mean**2 / (spread + np.sum(np.square(shares)))
     middle = np.transpose(pulls) @ np.array(pulls) / noise.shown
-    excess, share = float(np.trace(middle)) / mean, mean**2 / (mean**2 + freedom)
+    excess, even = float(np.trace(middle)) / mean, mean**2 / (mean**2 + freedom)
     if not excess > f.ppf(1 - CHANCE_OF_VIEWS, freedom, noise.freedom):
-        return np.zeros((size, size))
-    values, vectors = np.linalg.eigh((1 - share) * middle + share * excess * np.eye(size))
+        return nothing
+    values, vectors = np.linalg.eigh((1 - even) * middle + even * excess * np.eye(len(middle)))
     return back @ vectors * np.sqrt(np.maximum(values - 1, 0))
 
 
@@ -133,7 +132,7 @@ def left_over(problem: PointProblem, views: Sequence[PointView]) -> int:
 
 def coordinates(views: Sequence[PointView]) -> int:
     """The number of different coordinates that points are seen by."""
-    return 2 * sum(len(view.different(_shows(view), and_seen=True)) for view in views)
+    return 2 * sum(len(view.different(_telling(view), and_seen=True)) for view in views)
 
 
 def squares_of(views: Sequence[PointView]) -> float:
@@ -141,32 +140,31 @@ def squares_of(views: Sequence[PointView]) -> float:
     return sum(float(view.look().sum_squares) for view in views)
 
 
-def prior_rows(problem: PointProblem, views: Sequence[PointView]) -> int:
+def prior_rows(views: Sequence[PointView]) -> int:
     """The number of priors: one for a shared parameter, else one for each view."""
-    labels = () if (prior := views[0].prior) is None else prior.labels
-    own = labels_of(problem.alone)
-    return sum(len(views) if label in own else 1 for label in labels)
+    prior, own = views[0].prior, labels_of(views[0].alone)
+    return sum(len(views) if label in own else 1 for label in (prior.labels if prior else ()))
 
 
 def exact_squares(view: PointView) -> float:
     """The squares (px^2) that rounding and the last step leave."""
-    px = EXACT * FINE_PX[np.dtype(view.film.e.dtype)]
-    return px**2 * view.number
+    px = EXACT * FINE_PX[np.dtype(view.H.dtype)]
+    return px**2 * len(view.counts)
 
 
 def rms_limit(view: PointView, given: float | None, reach: float | None) -> float:
     """The root mean square distance (px) above which a view's points are not explained: that
     of the variance that is given, of outliers, or what is large on the film."""
     if given is not None:
-        return TIMES * float(np.sqrt(2 * given * view.number / np.sum(view.weight)))
+        return TIMES * float(np.sqrt(2 * given * len(view.counts) / view.weight))
     if reach is not None:
         return reach
-    seen_at = view.seen_at[view.weight > 0]
-    spread = float(np.sqrt(np.mean(np.sum((seen_at - seen_at.mean(axis=0)) ** 2, axis=1))))
-    diagonal = float(np.hypot(view.film.W, view.film.H))
-    return max(LEAST_PX, min(SPREAD * spread, DIAGONAL * diagonal))
+    H, seen_at = float(view.H), view.in_heights(view.counts)[1]
+    spread = float(np.sqrt(np.sum(np.var(seen_at, axis=0))))
+    diagonal = float(np.hypot(view.aspect, 1))
+    return max(LEAST_PX, H * min(SPREAD * spread, DIAGONAL * diagonal))
 
 
-def _shows(view: PointView) -> np.ndarray:
-    """Whether points (N,) count enough to show anything."""
-    return view.weight > NEGLIGIBLE * np.max(view.weight)
+def _telling(view: PointView) -> np.ndarray:
+    """The indices of points that count enough to show anything."""
+    return np.flatnonzero(view.given.weight > NEGLIGIBLE * np.max(view.given.weight))

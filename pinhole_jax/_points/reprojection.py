@@ -20,7 +20,7 @@ from .._numerics.pointwise import padded, room
 from .._numerics.thin_qr import triangle_and_rhs
 from .._scene.scene import Ball, ball_about
 from .._solver.least_squares import Rows
-from .._solver.moves import Bounds, Move, camera_velocity, canonical, moved, reported
+from .._solver.moves import Bounds, Move, canonical, moved, reported
 from .._solver.parameters import components
 from .._solver.priors import Prior
 from .._solver.problem import move_about
@@ -56,7 +56,7 @@ class PointRows(NamedTuple):
 
 class PointArrays(NamedTuple):
     """Points in the world (N, 3), where they are seen (N, 2) in px, and how much each counts (N,);
-    or velocities of these, None where they stay."""
+    or velocities of these."""
 
     points: Any
     seen_at: Any
@@ -69,124 +69,137 @@ class PointArrays(NamedTuple):
 
 
 class PointView(NamedTuple):
-    """One view: its film, points in the world, where these are seen (px) and how much each counts
-    (filled up: there is a program of few sizes), what is free, and the camera so far (canonical).
+    """One view, as programs take it: points are filled up, so there is a program of few sizes.
+
+    - `given`: points, where they are seen, and how much they count.
+    - `ball`: a sphere about them; `start`, `camera`: the user's camera and that so far (canonical);
+      `aspect`, `H`: the film's width in its heights, and its height in px.
+    - `freed`: what is free, `alone` what of it no other view shares; `moving`: what moves, as some
+      may be held.
     """
 
-    film: Camera
-    points: Float[np.ndarray, "N 3"]
-    seen_at: Float[np.ndarray, "N 2"]
-    weight: Float[np.ndarray, "N"]
-    ball: Ball
-    freed: tuple[str, ...]
-    camera: Camera
-    bounds: Bounds | None = None
-    prior: Prior | None = None
-
-    @classmethod
-    def from_points(cls, film: Camera, given: PointArrays, freed: tuple[str, ...]) -> "PointView":
-        """The view from where its film's camera is."""
-        points, seen_at, weight = given
-        used = points[weight > 0]
-        ball = ball_about(np.stack([used.min(axis=0), used.max(axis=0)]))
-        # (What does not count may be NaN, whose derivative would be, too.)
-        seen_at = np.where((weight > 0)[:, None], seen_at, 0)
-        size = room(len(points))  # (what is filled up does not count either)
-        arrays = padded(points, size), padded(seen_at, size, 0), padded(weight, size, 0)
-        return cls(film, *arrays, ball, freed, canonical(film))
-
-    @property
-    def number(self) -> int:
-        """The number of points that count."""
-        return int(np.sum(self.weight > 0))
-
-    def different(self, shows: np.ndarray, and_seen: bool) -> np.ndarray:
-        """The indices of points among those that show something, without those that repeat
-        another one (`and_seen`: and where that is seen)."""
-        some = np.flatnonzero(shows)
-        rows = []
-        for x in (self.points, self.seen_at)[: 1 + and_seen]:
-            spread = float(np.ptp(x[some], axis=0).max())
-            rows.append(np.round((x[some] - x[some[0]]) / (REPEATED * (spread or 1))))
-        return some[np.sort(np.unique(np.hstack(rows), axis=0, return_index=True)[1])]
-
-    def look(self) -> PointRows:
-        """The view's least squares."""
-        return _look(self.camera, self._data(), self.freed)
-
-    def stepped(self, y: np.ndarray) -> "PointView":
-        """The view after a step."""
-        y = np.asarray(y, self.film.e.dtype)
-        return self._replace(camera=_step(self.camera, self._data(), y, self.freed))
-
-    def distances(self) -> Float[np.ndarray, "N"]:
-        """Distances (px) of points from where they are seen, infinite behind the eye."""
-        return np.asarray(_distances(self.camera, self._data()), float)
-
-    def slope(self, velocity: PointArrays, columns: np.ndarray) -> Slope:
-        """The slope of the view's squares, as what it is given moves, by unknowns at some columns
-        (moves as such)."""
-        data = self._data()
-        pairs = zip(velocity, data.given, strict=True)
-        changes = PointArrays(*(_change(rate, array) for rate, array in pairs))
-        bend, pull = _bend_and_pull(self.camera, data, changes, self.freed)
-        return Slope(columns, np.asarray(bend, float), pull)
-
-    def camera_velocity(self, y: Float[Array, "n"]) -> Camera:
-        """The camera's rate of change, on its film, with moves as such."""
-        return _camera_velocity(self.camera, self._data(), self.film, y, self.freed)
-
-    def _data(self) -> "_Data":
-        film, to = self.film, lambda x: np.asarray(x, self.film.e.dtype)
-        given = PointArrays(to(self.points), to(self.seen_at), to(self.weight))
-        ball = Ball(*map(to, self.ball))
-        return _Data(given, ball, to(film.W / film.H), to(film.H), self.bounds, self.prior)
-
-
-class _Data(NamedTuple):
     given: PointArrays
     ball: Ball
-    width: Any
+    start: Camera
+    camera: Camera
+    aspect: Any
     H: Any
+    freed: tuple[str, ...]
+    alone: tuple[str, ...]
+    moving: tuple[str, ...]
     bounds: Bounds | None
     prior: Prior | None
 
-    def move(self, camera: Camera, freed: tuple[str, ...]) -> Move:
-        """A start of moves of a camera, in the solver's units."""
-        return move_about(camera, *self.ball, self.bounds, self.H, freed)
+    @classmethod
+    def from_points(
+        cls,
+        film: Camera,
+        given: PointArrays,
+        freed: tuple[str, ...],
+        alone: tuple[str, ...],
+        bounds: Bounds | None,
+        prior: Prior | None,
+    ) -> "PointView":
+        """The view from where its film's camera is."""
+        used = given.points[given.weight > 0]
+        ball = ball_about(np.stack([used.min(axis=0), used.max(axis=0)]))
+        to = lambda x: np.asarray(x, film.e.dtype)
+        # (What does not count may be NaN, whose derivative would be, too.)
+        given = given._replace(seen_at=np.where((given.weight > 0)[:, None], given.seen_at, 0))
+        start = canonical(film)
+        sides, known = (to(film.W / film.H), to(film.H)), (freed, alone, freed, bounds, prior)
+        return cls(filled_up(given, to), Ball(*map(to, ball)), start, start, *sides, *known)
 
-    def plain_move(self, camera: Camera, freed: tuple[str, ...]) -> Move:
-        """A start of moves of a camera as such."""
-        move = self.move(camera, freed)
+    @property
+    def counts(self) -> np.ndarray:
+        """The indices of the points that count."""
+        return np.flatnonzero(self.given.weight)
+
+    @property
+    def weight(self) -> float:
+        """The weight of all points together."""
+        return float(np.sum(self.given.weight, dtype=float))
+
+    @property
+    def moves(self) -> int:
+        """The number of moves."""
+        return len(components(self.moving))
+
+    def in_heights(self, some: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Some of the points (k, 3), and where they are seen (k, 2) in film heights."""
+        points, seen_at, _ = self.given
+        return np.asarray(points[some], float), np.asarray(seen_at[some] / self.H, float)
+
+    def different(self, some: np.ndarray, and_seen: bool) -> np.ndarray:
+        """The indices of points among some, without those that repeat another one (`and_seen`: and
+        where that is seen)."""
+        rows = []
+        for x in self.in_heights(some)[: 1 + and_seen]:
+            spread = float(np.ptp(x, axis=0).max())
+            rows.append(np.round((x - x[0]) / (REPEATED * (spread or 1))))
+        return some[np.sort(np.unique(np.hstack(rows), axis=0, return_index=True)[1])]
+
+    def posed(self, camera: Camera) -> "PointView":
+        """The view from a camera's pose, its lens as it is."""
+        pose = lambda c: (c.e, c.p, c.u)
+        return self._replace(camera=eqx.tree_at(pose, self.camera, pose(camera)))
+
+    def weighed(self, weight: np.ndarray) -> "PointView":
+        """The view whose points count so much."""
+        return self._replace(given=self.given._replace(weight=weight))
+
+    def look(self) -> PointRows:
+        """The view's least squares."""
+        return _look(self)
+
+    def stepped(self, y: np.ndarray) -> "PointView":
+        """The view after a step."""
+        return self._replace(camera=_stepped(self, np.asarray(y, self.H.dtype)))
+
+    def distances(self) -> Float[np.ndarray, "N"]:
+        """Distances (px) of points from where they are seen, infinite behind the eye."""
+        return np.asarray(_distances(self), float)
+
+    def slope(self, rates: PointArrays, columns: np.ndarray) -> Slope:
+        """The slope of the view's squares, as what it is given moves, by unknowns at some columns
+        (moves as such)."""
+        bend, pull = _bend_and_pull(self, rates)
+        return Slope(columns, np.asarray(bend, float), pull)
+
+    def move(self) -> Move:
+        """A start of the camera's moves, in the solver's units."""
+        return move_about(self.camera, *self.ball, self.bounds, self.H, self.moving)
+
+    def plain_move(self) -> Move:
+        """A start of the camera's moves as such."""
+        move = self.move()
         return move._replace(scale=jnp.ones_like(move.scale))
-
-    def residuals(self, camera: Camera) -> Float[Array, "k"]:
-        """Residuals (px): projected less seen points, weighed; NaN where the lens folds."""
-        off = jnp.sqrt(self.given.weight)[:, None] * self.given.off(camera, self.H)
-        holds = lens_holds(camera, FilmPart(0, self.width, 0, 1))
-        return jnp.where(holds, off.reshape(-1), jnp.nan)
 
 
 class PointProblem(NamedTuple):
     """Views of points as `LeastSquares`, whose state are the views.
 
-    - `alone`: the names of parameters that each view has for itself; the shared ones come last.
-    - `own` (n,): which of a view's moves these are.
+    - `own` (n,): which of a view's moves are its own; the shared ones come last.
     - `size`: the number of unknowns; `dtype`: the float type.
     """
 
-    alone: tuple[str, ...]
     own: np.ndarray
     size: int
     dtype: np.dtype
 
     @classmethod
-    def from_views(cls, views: Sequence[PointView], alone: tuple[str, ...]) -> "PointProblem":
-        """The problem in which each view has these parameters alone."""
-        names = [name for name in views[0].freed for _ in components((name,))]
-        own = np.isin(names, alone)
+    def from_views(cls, views: Sequence[PointView]) -> "PointProblem":
+        """The problem of views that share what none has alone."""
+        names = [name for name in views[0].moving for _ in components((name,))]
+        own = np.isin(names, views[0].alone)
         size = len(views) * int(own.sum()) + int((~own).sum())
-        return cls(alone, own, size, np.dtype(views[0].film.e.dtype))
+        return cls(own, size, np.dtype(views[0].H.dtype))
+
+    def columns(self, k: int) -> np.ndarray:
+        """Indices of the numbers that a view depends on."""
+        of_view, shared = np.cumsum(self.own) - 1, np.cumsum(~self.own)
+        first = self.size - 1 - np.sum(~self.own)
+        return np.where(self.own, k * np.sum(self.own) + of_view, first + shared)
 
     def look(self, state: list[PointView]) -> list[PointRows]:
         """The views' least squares."""
@@ -205,24 +218,20 @@ class PointProblem(NamedTuple):
     def parts(self, state: list[PointView], seen: list[PointRows], noise: float) -> list[Rows]:
         """The rows of all views."""
         del state, noise
-        return [
-            Rows(
-                np.asarray(one.triangle, float) / np.asarray(one.scale, float),
-                np.asarray(one.along, float),
-                self.columns(k),
-                self.own,
+        result = []
+        for k, one in enumerate(seen):
+            triangle, scale, along = (
+                np.asarray(x, float) for x in (one.triangle, one.scale, one.along)
             )
-            for k, one in enumerate(seen)
-        ]
+            result.append(Rows(triangle / scale, along, self.columns(k), self.own))
+        return result
 
     def sizes(self, seen: list[PointRows], parts: list[Rows]) -> np.ndarray:
         """The change of each unknown that moves points by `FILM` px: a trust region, without which
         a lens that points hardly show would fold."""
-        del parts
         result = np.zeros(self.size)
-        for k, one in enumerate(seen):
-            columns = self.columns(k)
-            result[columns] = np.maximum(result[columns], FILM / np.asarray(one.scale, float))
+        for part, one in zip(parts, seen, strict=True):
+            np.maximum.at(result, part.columns, FILM / np.asarray(one.scale, float))
         return result
 
     def ways_out(self, state: list[PointView], seen: list[PointRows]) -> np.ndarray:
@@ -239,76 +248,62 @@ class PointProblem(NamedTuple):
         moves = (x[self.columns(k)] / np.asarray(one.scale) for k, one in enumerate(seen))
         return max(float(np.max(np.abs(y))) for y in moves)
 
-    def columns(self, k: int) -> np.ndarray:
-        """Indices of the numbers that a view depends on."""
-        m, shared = int(self.own.sum()), int((~self.own).sum())
-        result = np.empty(len(self.own), int)
-        result[self.own] = k * m + np.arange(m)
-        result[~self.own] = self.size - shared + np.arange(shared)
-        return result
+
+def filled_up(given: PointArrays, to: Any) -> PointArrays:
+    """Arrays of points, each as `to` has it, filled up with what does not count."""
+    size = room(len(given.points))
+    values = None, 0, 0
+    return PointArrays(*(padded(to(x), size, v) for x, v in zip(given, values, strict=True)))
 
 
 @eqx.filter_jit
-def _step(camera: Camera, data: _Data, y: Any, freed: tuple[str, ...]) -> Camera:
-    return moved(data.plain_move(camera, freed), y, freed)
+def _stepped(view: PointView, y: Any) -> Camera:
+    return moved(view.plain_move(), y, view.moving)
 
 
 @eqx.filter_jit
-def _camera_velocity(
-    start: Camera, data: _Data, film: Camera, y: Float[Array, "n"], freed: tuple[str, ...]
-) -> Camera:
-    return camera_velocity(data.plain_move(start, freed), film, freed, y)
-
-
-@eqx.filter_jit
-def _distances(camera: Camera, data: _Data) -> Float[Array, "N"]:
-    off = data.given.off(camera, data.H)
-    ahead = to_camera(camera, data.given.points)[:, 2] > 0
+def _distances(view: PointView) -> Float[Array, "N"]:
+    off = view.given.off(view.camera, view.H)
+    ahead = to_camera(view.camera, view.given.points)[:, 2] > 0
     return jnp.where(ahead, jnp.sqrt(jnp.sum(off * off, axis=1)), jnp.inf)
 
 
 @eqx.filter_jit
-def _look(start: Camera, data: _Data, freed: tuple[str, ...]) -> PointRows:
-    move = data.move(start, freed)
+def _look(view: PointView) -> PointRows:
+    move, given = view.move(), view.given
     zero = jnp.zeros_like(move.scale)
     padding = jnp.zeros(zero.shape[0] + 1, zero.dtype)  # more rows than columns
 
     def residuals(y):
-        camera = moved(move, y, freed)
-        r, from_prior = data.residuals(camera), padding[:0]
-        if data.prior is not None:
-            from_prior = data.prior.residuals(camera, freed)
+        camera, from_prior = moved(move, y, view.moving), padding[:0]
+        off = jnp.sqrt(given.weight)[:, None] * given.off(camera, view.H)
+        # (No step leads to where the lens folds.)
+        holds = lens_holds(camera, FilmPart(0, view.aspect, 0, 1))
+        r = jnp.where(holds, off.reshape(-1), jnp.nan)
+        if view.prior is not None:
+            from_prior = view.prior.residuals(camera, view.freed)
         rows = jnp.concatenate([r, from_prior, padding])
         return rows, (rows, jnp.sum(r * r), jnp.sum(from_prior * from_prior))
 
     jacobian, (rows, squares, prior) = jax.jacfwd(residuals, has_aux=True)(zero)
     triangle, along = triangle_and_rhs(jacobian, rows)
-    to_reported = jax.jacfwd(lambda y: reported(start, moved(move, y, freed), freed))(zero)
-    depth = to_camera(start, data.given.points)[:, 2]
-    nearest = jnp.min(jnp.where(data.given.weight > 0, depth, jnp.inf))
+    values = lambda y: reported(view.camera, moved(move, y, view.moving), view.moving)
+    depth = to_camera(view.camera, given.points)[:, 2]
+    nearest = jnp.min(jnp.where(given.weight > 0, depth, jnp.inf))
+    to_reported = jax.jacfwd(values)(zero)
     return PointRows(triangle, along, move.scale, to_reported, squares, prior, nearest)
 
 
 @eqx.filter_jit
-def _bend_and_pull(
-    start: Camera, data: _Data, velocity: PointArrays, freed: tuple[str, ...]
-) -> tuple[Array, Array]:
+def _bend_and_pull(view: PointView, rates: PointArrays) -> tuple[Array, Array]:
     """Half the gradient of the squares by moves as such: its derivative by these (n, n), and its
     rate of change (n,) with what is given."""
-    move = data.plain_move(start, freed)
+    move = view.plain_move()
 
     def half_squares(y: Array, given: PointArrays) -> Array:
-        off = given.off(moved(move, y, freed), data.H)
+        off = given.off(moved(move, y, view.moving), view.H)
         return jnp.sum(given.weight[:, None] * off * off) / 2
 
     slope, still = jax.grad(half_squares), jnp.zeros_like(move.scale)
-    pull = jax.jvp(lambda given: slope(still, given), (data.given,), (velocity,))[1]
-    return jax.jacfwd(slope)(still, data.given), pull
-
-
-def _change(velocity: Any, array: np.ndarray) -> Any:
-    """The velocity of a filled-up array: 0 where it was added to."""
-    if velocity is None:
-        return np.zeros_like(array)
-    rest = np.zeros((len(array) - len(velocity), *array.shape[1:]), array.dtype)
-    return jnp.concatenate([velocity, rest])
+    pull = jax.jvp(lambda given: slope(still, given), (view.given,), (rates,))[1]
+    return jax.jacfwd(slope)(still, view.given), pull

@@ -8,13 +8,11 @@ import numpy as np
 from .._camera.axes import angle, distinct
 from .._rules import RULES
 from .._solver.least_squares import levenberg_marquardt
-from .._solver.parameters import labels_of
-from .._solver.priors import Prior
 from .._solver.problem import FINE_PX
 from .._solver.uncertainty import BLIND
 from .noise import Noise, exact_squares
 from .reprojection import PointProblem, PointView
-from .starts import is_few, placed, reversed_depths, three_point_starts
+from .starts import is_few, reversed_depths, three_point_starts
 
 #: This many descents from other places at most, of this many steps at most.
 DESCENTS, STEPS = 4, 50
@@ -30,7 +28,7 @@ class _Rival(NamedTuple):
     ended: bool
 
 
-def rivals(problem: PointProblem, view: PointView, noise: Noise, limit: float) -> list[PointView]:
+def rivals(view: PointView, noise: Noise, limit: float) -> list[PointView]:
     """The place that sees a view's points best, and others that are as good by chance:
     those that are equal by their turn from the start, then by their squares.
 
@@ -38,15 +36,15 @@ def rivals(problem: PointProblem, view: PointView, noise: Noise, limit: float) -
     """
     here = _Rival(view, _squares(view), True)
     is_somewhere = bool(np.isfinite(here.squares))
-    explained = is_somewhere and _rms(view) <= limit
-    begin = view if is_somewhere else placed(view, view.film)
+    explained = is_somewhere and float(view.look().sum_squares) <= limit**2 * view.weight
+    begin = view if is_somewhere else view.posed(view.start)
     starts = _starts(begin, explained) if "pose" in view.freed else []
-    if not starts or (explained and _is_blind(_alone(view, problem.alone))):
+    if not starts or (explained and _is_blind(view._replace(moving=view.alone))):
         return [view]
     near = RULES.same if noise.freedom > 0 else APART_OF_THREE
     places = [here] if is_somewhere else []
     for start in starts if is_somewhere else [begin, *starts]:
-        there = _end(start, problem.alone)
+        there = _end(start)
         if not np.isfinite(there.squares):
             continue
         same = [k for k, p in enumerate(places) if angle(p.view.camera, there.view.camera) <= near]
@@ -64,15 +62,10 @@ def _rank(places: list[_Rival], noise: Noise, view: PointView) -> list[PointView
 
     def order(place: _Rival) -> tuple[bool, float]:
         is_worse = place.squares > equal
-        return is_worse, place.squares if is_worse else angle(place.view.camera, view.film)
+        return is_worse, place.squares if is_worse else angle(place.view.camera, view.start)
 
     good = [p for p in places if p.squares <= equal or (p.ended and p.squares <= likely)]
     return [place.view for place in sorted(good, key=order)]
-
-
-def _rms(view: PointView) -> float:
-    """The root mean square distance of points from where they are seen (px)."""
-    return float(np.sqrt(float(view.look().sum_squares) / np.sum(view.weight)))
 
 
 def _squares(view: PointView) -> float:
@@ -87,44 +80,27 @@ def _squares(view: PointView) -> float:
 def _starts(view: PointView, explained: bool) -> list[PointView]:
     """Other places to descend from: the reversed depths of a plane; and of few points, or
     where they are not explained, the user's pose and those that meet three points."""
-    reverse = reversed_depths(view)
+    reverse, of_three = reversed_depths(view), len(view.counts) == 3
     result = [] if reverse is None else [reverse]
     if is_few(view) or not explained:
-        result += [placed(view, view.film), *three_point_starts(view)]
-    if view.number == 3:
+        result += [view.posed(view.start), *three_point_starts(view)]
+    if of_three:
         result.sort(key=_squares)
     # (Those that are close to this view lead to it; those of three points are where they end.)
-    close = APART_OF_THREE if view.number == 3 else CLOSE
+    close = APART_OF_THREE if of_three else CLOSE
     return [*distinct([view, *result], close, lambda place: place.camera)][1 : 1 + DESCENTS]
 
 
 def _is_blind(view: PointView) -> bool:
     """Whether points do not show some direction: places along it are the same."""
     values = np.linalg.svd(np.asarray(view.look().triangle, float), compute_uv=False)
-    return not values[-1] > BLIND[np.dtype(view.film.e.dtype)] * values[0]
+    return not values[-1] > BLIND[np.dtype(view.H.dtype)] * values[0]
 
 
-def _end(start: PointView, alone: tuple[str, ...]) -> _Rival:
+def _end(start: PointView) -> _Rival:
     """The end of a view's own descent; shared parameters are held."""
-    view = _alone(start, alone)
-    problem = PointProblem.from_views([view], alone)
+    view = start._replace(moving=start.alone)
+    problem = PointProblem.from_views([view])
     found = levenberg_marquardt(problem, [view], STEPS, FINE_PX[problem.dtype])
     there = start._replace(camera=found.state[0].camera)
     return _Rival(there, _squares(there), found.ended)
-
-
-def _alone(view: PointView, alone: tuple[str, ...]) -> PointView:
-    """The view in which what is shared is held."""
-    return view._replace(freed=alone, prior=_of_labels(view.prior, labels_of(alone)))
-
-
-def _of_labels(prior: Prior | None, labels: tuple[str, ...]) -> Prior | None:
-    """A prior's part for these labels, None if it has none."""
-    if prior is None:
-        return None
-    which = [k for k, label in enumerate(prior.labels) if label in labels]
-    if not which:
-        return None
-    some = np.array(which)
-    names = tuple(prior.labels[k] for k in which)
-    return Prior(names, prior.mean[some], prior.std[some], prior.noise)

@@ -1,12 +1,9 @@
 """Where views of points begin, and where else their points would look much the same."""
 
-import equinox as eqx
 import numpy as np
 
 from .._camera.axes import axes_of
 from .._camera.camera import Camera
-from .._solver.moves import canonical, on_film
-from .._solver.parameters import components
 from .reprojection import PointView
 from .resection import plane_of, resect, resect_three, shift, turn
 
@@ -25,66 +22,52 @@ PARTS = {"position": shift, "orientation": turn}
 def begin(view: PointView, robust: bool) -> PointView:
     """The view from its own camera, or from where direct solutions say, what is nearer; if
     `robust` by half of the points (least median of squares, Rousseeuw 1984), else by all."""
-    view = within_bounds(view)
-    cameras = _direct(view, robust)
-    places = [view, *(within_bounds(view._replace(camera=canonical(c))) for c in cameras)]
+    if view.bounds is not None:
+        view = view.stepped(np.zeros(view.moves))
+    places = [view, *map(view.posed, _direct(view, robust))]
     return min(places, key=lambda place: _distance(place, robust))
 
 
 def _distance(view: PointView, robust: bool) -> float:
     """The distance of points (px) from where they are seen: of the middle one, or all together."""
-    off = view.distances()[view.weight > 0]
+    off = view.distances()[view.counts]
     return float(np.median(off) if robust else np.sum(off**2))
 
 
 def _direct(view: PointView, robust: bool) -> list[Camera]:
     """Cameras that direct solutions find, of all points, and of few drawn at random."""
-    counts = np.flatnonzero(view.weight > 0)
+    points, seen_at = view.in_heights(view.counts)
     by_part = [way for name, way in PARTS.items() if name in view.freed]
     if by_part or "pose" not in view.freed:
-        return [way(view.film, view.points[counts], view.seen_at[counts]) for way in by_part]
-    draws = [counts]
+        return [way(view.start, points, seen_at) for way in by_part]
+    draws = [np.arange(len(points))]
     if robust:
-        few = FEW if plane_of(view.points[counts]) is None else FEW_OF_PLANE
+        few = FEW if plane_of(points) is None else FEW_OF_PLANE
         random = np.random.default_rng(0)
-        draws += [random.permutation(counts)[:few] for _ in range(DRAWS)]
-    found = [resect(view.film, view.points[some], view.seen_at[some]) for some in draws]
+        draws += [random.permutation(len(points))[:few] for _ in range(DRAWS)]
+    found = [resect(view.start, points[some], seen_at[some]) for some in draws]
     if is_few(view):
-        found += _three_point_cameras(view, view.film)
+        found += three_point_cameras(view, view.start)
     return [camera for camera in found if camera is not None]
 
 
 def is_few(view: PointView) -> bool:
     """Whether few different points count, so that poses of three of them are starts, too."""
-    return len(view.different(view.weight > 0, and_seen=False)) <= SCANT
+    return len(view.different(view.counts, and_seen=False)) <= SCANT
 
 
 def three_point_starts(view: PointView) -> list[PointView]:
     """The view from where three of its points are met, its lens as it is, the best first."""
-    film = on_film(view.camera, view.film)
-    places = [placed(view, camera) for camera in _three_point_cameras(view, film)]
+    places = map(view.posed, three_point_cameras(view, view.camera))
     return sorted(places, key=lambda place: _distance(place, False))
 
 
-def _three_point_cameras(view: PointView, film: Camera) -> list[Camera]:
+def three_point_cameras(view: PointView, camera: Camera) -> list[Camera]:
     """A camera in all poses that three of the points have, of large triangles; of many
     points, some that are spread evenly among them."""
-    counts = view.different(view.weight > 0, and_seen=False)
+    counts = view.different(view.counts, and_seen=False)
     some = counts[np.unique(np.linspace(0, len(counts) - 1, SCANT).round().astype(int))]
-    if len(some) < 3:
-        return []
-    return resect_three(film, view.points[some], view.seen_at[some], TRIANGLES)
-
-
-def placed(view: PointView, camera: Camera) -> PointView:
-    """The view from a camera's pose, its lens as it is."""
-    pose = lambda c: (c.e, c.p, c.u)
-    return view._replace(camera=eqx.tree_at(pose, view.camera, pose(camera)))
-
-
-def within_bounds(view: PointView) -> PointView:
-    """The view from within its bounds."""
-    return view if view.bounds is None else view.stepped(np.zeros(len(components(view.freed))))
+    return resect_three(camera, *view.in_heights(some), TRIANGLES) if len(some) > 2 else []
 
 
 def reversed_depths(view: PointView) -> PointView | None:
@@ -94,16 +77,13 @@ def reversed_depths(view: PointView) -> PointView | None:
     Half a turn about the plane's normal, then half a turn about the line of sight, leave each point
     where it is seen from far away.
     """
-    plane = plane_of(view.points[view.weight > 0])
+    plane = plane_of(view.in_heights(view.counts)[0])
     if plane is None:
         return None
     middle, normal = plane
-    eye, axes = np.asarray(view.camera.e, float), axes_of(view.camera)
-    sight = (eye - middle) / np.linalg.norm(eye - middle)
-    turned = _half_turn(normal) @ _half_turn(sight)
-    camera = view.camera.with_pose(middle + turned @ (eye - middle), axes @ turned.T)
-    return view._replace(camera=camera)
-
-
-def _half_turn(axis: np.ndarray) -> np.ndarray:
-    return 2 * np.outer(axis, axis) - np.eye(3)
+    away = np.asarray(view.camera.e, float) - middle
+    sight = away / np.linalg.norm(away)
+    about_normal, about_sight = (2 * np.outer(x, x) - np.eye(3) for x in (normal, sight))
+    turned = about_normal @ about_sight
+    axes = axes_of(view.camera) @ turned.T
+    return view._replace(camera=view.camera.with_pose(middle + turned @ away, axes))

@@ -5,13 +5,12 @@ Estimation Problem" (1994): Grunert's equations and his quartic, of 1841.
 """
 
 import itertools
+from collections.abc import Iterator
 
 import numpy as np
 from jaxtyping import Float
 from numpy.polynomial import Polynomial
 
-#: Newton steps on the three distances.
-STEPS = 12
 #: Three points are of a line where the sine of a corner of theirs is below this.
 THIN = 1e-6
 #: Distances that differ by a smaller share are the same, and ones that leave a side off by a larger
@@ -30,86 +29,56 @@ def poses_of_three(points: Float[np.ndarray, "3 3"], rays: Float[np.ndarray, "3 
 
     Where noise leaves no exact pose, two that nearly meet are replaced by what lies between them.
     """
+    from scipy.optimize import root
+    from scipy.spatial.transform import Rotation
+
     a, b = points[1:] - points[0]
-    if not np.linalg.norm(np.cross(a, b)) > THIN * np.linalg.norm(a) * np.linalg.norm(b):
+    thin = np.linalg.norm(np.cross(a, b)) <= THIN * np.linalg.norm(a) * np.linalg.norm(b)
+    if thin or not np.all(np.isfinite(rays)):
         return []
     sides = np.sum((points[NEXT] - points[LAST]) ** 2, axis=1)
     cosines = np.sum(rays[NEXT] * rays[LAST], axis=1)
-    found: list[np.ndarray] = []
+
+    def off(depths: np.ndarray) -> np.ndarray:
+        near, far = depths[NEXT], depths[LAST]
+        return near * near + far * far - 2 * near * far * cosines - sides
+
+    found, poses = np.zeros((0, 3)), []
     for begin in _depths(sides, cosines):
-        depths, off = _polish(begin, sides, cosines)
-        is_new = not any(np.allclose(depths, other, rtol=SAME) for other in found)
-        if np.all(depths > 0) and off < OFF * sides.max() and is_new:
-            found.append(depths)
-    return [align(points, depths[:, None] * rays) for depths in found]
+        depths = root(off, begin, method="lm").x
+        is_known = np.any(np.all(np.isclose(found, depths, rtol=SAME), axis=1))
+        if np.all(depths > 0) and np.max(np.abs(off(depths))) < OFF * sides.max() and not is_known:
+            found, there = np.vstack([found, depths]), depths[:, None] * rays
+            middles = points.mean(axis=0), there.mean(axis=0)
+            turn = Rotation.align_vectors(there - middles[1], points - middles[0])[0].as_matrix()
+            poses.append((turn, middles[1] - turn @ middles[0]))
+    return poses
 
 
-def _depths(sides: np.ndarray, cosines: np.ndarray) -> list[np.ndarray]:
-    """Distances (3,) from the eye by Grunert's quartic, not yet polished."""
-    result = []
-    for v in _ratios(*sides, *cosines):
-        first = sides[1] / max(1 + v * v - 2 * v * cosines[1], 1e-300)
-        # The second point's distance, by the side between it and the first: one of two.
-        half = cosines[2]
-        root = np.sqrt(max(half * half - 1 + sides[2] / first, 0.0))
-        result += [np.sqrt(first) * np.array([1, u, v]) for u in (half - root, half + root)]
-    return result
-
-
-def _ratios(a: float, b: float, c: float, x: float, y: float, z: float) -> np.ndarray:
-    """The real parts of all ratios of the third distance to the first: the roots of
-    Grunert's quartic, of squared sides a, b, c and cosines x, y, z of the angles opposite."""
+def _depths(sides: np.ndarray, cosines: np.ndarray) -> Iterator[np.ndarray]:
+    """Distances (3,) from the eye, not yet polished, by the real parts of the roots of Grunert's
+    quartic: the ratios of the third distance to the first."""
+    (a, b, c), (x, y, z) = sides, cosines
     p = (a - c) / b
     # The second distance's ratio is `over / under`, by two sides; the third side is the quartic.
     over, under = Polynomial([1 + p, -2 * p * y, p - 1]), Polynomial([2 * z, -2 * x])
     rest = 1 - c / b * Polynomial([1, -2 * y, 1])
-    quartic = (over**2 - 2 * z * over * under + rest * under**2).coef[::-1]
-    roots = np.roots(quartic) if np.all(np.isfinite(quartic)) else np.zeros(0)
-    return np.unique(roots.real[roots.real > 0])
-
-
-def _polish(depths: np.ndarray, sides: np.ndarray, cosines: np.ndarray) -> tuple[np.ndarray, float]:
-    """Distances (3,) after Gauss-Newton on the squared sides, and how far off the worst of
-    these then is."""
-    for _ in range(STEPS):
-        near, far = depths[NEXT], depths[LAST]
-        slope = np.zeros((3, 3))
-        slope[range(3), NEXT] = 2 * (near - far * cosines)
-        slope[range(3), LAST] = 2 * (far - near * cosines)
-        off = _squared_sides(depths, cosines) - sides
-        depths = depths - np.linalg.pinv(slope, rcond=1e-9) @ off
-    return depths, float(np.max(np.abs(_squared_sides(depths, cosines) - sides)))
-
-
-def _squared_sides(depths: np.ndarray, cosines: np.ndarray) -> np.ndarray:
-    """Squared sides (3,) of a triangle at these distances."""
-    near, far = depths[NEXT], depths[LAST]
-    return near * near + far * far - 2 * near * far * cosines
-
-
-def align(points: np.ndarray, seen: np.ndarray, about_middle: bool = True) -> Pose:
-    """The rotation and the translation that bring points onto others (Kabsch 1976), none
-    but a rotation unless it may be about their middle."""
-    middle, there = (x.mean(axis=0) * about_middle for x in (points, seen))
-    left, _, right = np.linalg.svd((seen - there).T @ (points - middle))
-    flip = np.array([1, 1, np.linalg.det(left @ right)])
-    rotation = (left * flip) @ right
-    return rotation, there - rotation @ middle
+    roots = (over**2 - 2 * z * over * under + rest * under**2).roots().real
+    for v in np.unique(roots[roots > 0]):
+        first = b / max(1 + v * v - 2 * v * y, 1e-300)
+        # The second point's distance, by the side between it and the first: one of two.
+        half = np.sqrt(max(z * z - 1 + c / first, 0.0))
+        for u in (z - half, z + half):
+            yield np.sqrt(first) * np.array([1, u, v])
 
 
 def triangles(
-    points: Float[np.ndarray, "N 3"], seen_at: Float[np.ndarray, "N 2"], most: int
+    points: Float[np.ndarray, "N 3"], rays: Float[np.ndarray, "N 3"], most: int
 ) -> np.ndarray:
     """The indices (T, 3) of this many triangles at most, those that are largest in the world
     and where they are seen first."""
     threes = np.array([*itertools.combinations(range(len(points)), 3)])
-    world, image = (_areas(x[threes]) for x in (points, seen_at))
-    order = np.argsort(-np.round(np.log(np.maximum(world * image, 1e-300)), 9), kind="stable")
+    edges = [x[threes[:, 1:]] - x[threes[:, :1]] for x in (points, rays)]
+    sizes = np.prod([np.linalg.det(x @ x.transpose(0, 2, 1)) for x in edges], axis=0)
+    order = np.argsort(-np.round(np.log(np.maximum(sizes, 1e-300)), 9), kind="stable")
     return threes[order[:most]]
-
-
-def _areas(corners: np.ndarray) -> np.ndarray:
-    """The areas of triangles (m, 3, k)."""
-    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    across = np.sum(a * b, axis=1) ** 2
-    return np.sqrt(np.maximum(np.sum(a * a, axis=1) * np.sum(b * b, axis=1) - across, 0)) / 2
