@@ -297,7 +297,7 @@ MASK[30:50, 30:60] = 1
             r"`camera`: expected a camera .* got none with `free` phi",
         ),
         ({"camera": None, "phi": 0.6, "target": MASK[0]}, r"`target`: expected shape \(H, W\)"),
-        ({"phi": 0.6}, r"`phi`: expected None beside `camera`"),
+        ({"phi": 0.6}, r"`phi`: expected None with `camera`"),
         ({"outlier_px": 0.0}, r"`outlier_px`: expected a positive number of px, got 0.0"),
         ({"scene": pj.Scene()}, r"`scene`: expected a Scene with a mesh or spheres"),
         ({"free": ("pose", "zoom")}, r"`free`: expected names among .* got 'zoom'"),

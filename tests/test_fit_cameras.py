@@ -220,7 +220,7 @@ def test_information_of_other_views_equals_elimination():
     ("change", "message"),
     [
         ({"targets": []}, r"`targets`: expected at least one mask"),
-        ({"phi": 0.6}, r"`phi`: expected None beside `cameras`"),
+        ({"phi": 0.6}, r"`phi`: expected None with `cameras`"),
         ({"cameras": STARTS[:1]}, r"`cameras`: expected one for each of 3 masks, got 1"),
         ({"weights": [None]}, r"`weights`: expected one for each of 3 masks, got 1"),
         ({"shared": "pose", "free": "phi"}, r"`shared`: expected names among phi, d"),

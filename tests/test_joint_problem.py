@@ -178,7 +178,7 @@ WRONG = [
     ),
     ("`joint_zeros`: expected views with a `posture`", [{}], {"joint_zeros": 0.01}),
     (
-        r"`joint_zeros`: expected no `mount` beside a `posture`.*views\[0\]",
+        r"`joint_zeros`: expected no `mount` with a `posture`.*views\[0\]",
         [{"posture": hinged(), "mount": HERE}],
         {"joint_zeros": 0.01},
     ),

@@ -155,7 +155,7 @@ def test_photo_refines_the_camera(here, capsys):
             "fit bumpy.ply dot.png --fov 34 --image small.png",
             "`--image`: expected the mask's size 96 x 80, got 9 x 9",
         ),
-        ("fit bumpy.ply dot.png --fov 34 --refine", "`--refine`: expected a photo beside it"),
+        ("fit bumpy.ply dot.png --fov 34 --refine", "`--refine`: expected a photo"),
         (
             "fit bumpy.ply black.png --fov 34 --mask-from label=9",
             "no pixel with the label 9; there are 0",
@@ -503,8 +503,8 @@ def test_cropped_and_resized_photos_keep_the_rays(here):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("--fov 30 --crop 0 0 96 80", "`--crop`: expected `--camera` or `--K` beside it"),
-        ("--fov 30 --dist 0.1 0 0 0", "`--dist`: expected `--K` beside it, got none"),
+        ("--fov 30 --crop 0 0 96 80", "`--crop`: expected `--camera` or `--K` with it"),
+        ("--fov 30 --dist 0.1 0 0 0", "`--dist`: expected `--K` with it, got none"),
         ("--K 90 91 47.5 40 --dist 0.1", "`--dist`: expected 4 or 5 or 8 finite numbers"),
         (
             "--K 90 91 47 40 --crop 0 0 48 40",

@@ -702,7 +702,7 @@ def test_command_without_aiohttp_names_the_extra(monkeypatch, capsys, workpiece)
         ("--session part.obj", "`--session`: expected "),
         ("part.obj photo.png --port 70000", "`--port`: expected a port, 0 to 65535, got 70000"),
         ("part.obj photo.png --fov 300", "`--fov`: expected degrees between 0 and 180"),
-        ("part.obj photo.png --dist 1 2 3 4", "`--dist`: expected `--K` beside it"),
+        ("part.obj photo.png --dist 1 2 3 4", "`--dist`: expected `--K` with it"),
         ("part.obj photo.png --mask small.png", "`--mask`: expected the photo's size 64 x 64"),
     ],
 )

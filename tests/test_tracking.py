@@ -47,5 +47,5 @@ def test_frames_are_tracked_from_one_to_the_next(frames, monkeypatch):
 
 
 def test_executor_beside_tracking_is_refused(frames):
-    with ThreadPoolExecutor(1) as threads, pytest.raises(ValueError, match="beside `track`"):
+    with ThreadPoolExecutor(1) as threads, pytest.raises(ValueError, match="with `track`"):
         pj.fit_many(frames[0], executor=threads, track=True)

@@ -98,7 +98,7 @@ def _sigterm_interrupts() -> Iterator[None]:
 def _dataset(options: argparse.Namespace) -> Dataset:
     fields = record_of(options)
     if "dist" in fields and "K" not in fields:
-        raise ValueError("`dist`: expected `K` beside it, got none")
+        raise ValueError("`dist`: expected `K` with it, got none")
     return read_dataset(
         options.dataset,
         start=options.start,

@@ -20,7 +20,7 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
     written = [Path(options.output) / name for name in ("camera.json", "overlay.png")]
     check_outputs(output=written[0], report=options.report)
     if options.refine and options.image is None:
-        raise ValueError("`refine`: expected a photo beside it, got none: add --image PHOTO")
+        raise ValueError("`refine`: expected a photo, got none: add --image PHOTO")
     inputs = read_inputs(record_of(options), progress.tell)
     scene, mask, centres = inputs.scene, inputs.mask, options.pixel_centres
     picture = mask if inputs.photo is None else inputs.photo

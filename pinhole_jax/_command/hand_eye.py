@@ -92,7 +92,7 @@ def joint_zeros(options: argparse.Namespace) -> float | None:
     if not 0 < degrees < np.inf:
         raise ValueError(f"`joint_zeros`: expected a positive number of degrees, got {degrees}")
     if options.in_hand is not None:
-        raise ValueError("`joint_zeros`: expected none beside `in_hand`, whose link they move")
+        raise ValueError("`joint_zeros`: expected none with `in_hand`, whose link they move")
     return float(np.deg2rad(degrees))
 
 
@@ -130,7 +130,7 @@ def _most_worth(fit: JointFit) -> str:
     worth = fit.views[best].worth
     if not np.isfinite(worth):
         return f"without view {best} the masks would not determine the pose"
-    return f"without view {best} the standard errors of the pose were {worth:.2f} times as large"
+    return f"without view {best} standard errors of the pose would be {worth:.2f} times as large"
 
 
 def _start(

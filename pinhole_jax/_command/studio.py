@@ -82,7 +82,7 @@ def _workpiece(
     if session is not None:
         known = (options.mesh, options.photo, options.camera, options.fov, options.K, options.mask)
         if any(x is not None for x in known):
-            words = "expected no MESH, PHOTO, camera or mask beside it: it has its own"
+            words = "expected no MESH, PHOTO, camera or mask with it: a session has its own"
             raise ValueError(f"`session`: {words}")
         with named(mesh="session", photo="session", camera="session"):
             return workpiece_of(session.mesh, session.photo, session.camera, tell)

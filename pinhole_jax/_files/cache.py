@@ -24,7 +24,7 @@ def cache(folder: str | os.PathLike[str] | None = None) -> Path:
             home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
             folder = Path(home) / "pinhole_jax"
         except RuntimeError:
-            raise ValueError("`folder`: expected one, as the user has no home folder") from None
+            raise ValueError("`folder`: expected one, as you have no home folder") from None
     jax.config.update("jax_compilation_cache_dir", os.fspath(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     compilation_cache.reset_cache()  # else what was set at the first program of all holds

@@ -161,7 +161,7 @@ def check_alone(given: str, **others: Any) -> None:
     """Raise ValueError for what cameras to start from have of their own."""
     for name, value in others.items():
         if value is not None:
-            raise ValueError(f"`{name}`: expected None beside `{given}`, which brings its own")
+            raise ValueError(f"`{name}`: expected None with `{given}`, which brings its own")
 
 
 def check_border(

@@ -174,7 +174,7 @@ def _check_names(
     if blind := sorted(set(rig) - {v.camera for v in views}):
         raise ValueError(f"`rig`: expected cameras that a view names, got {', '.join(blind)}")
     if rig and RIG in cameras:
-        raise ValueError(f"`cameras`: expected names other than {RIG!r} beside a rig, got it")
+        raise ValueError(f"`cameras`: expected names other than {RIG!r} with a rig, got it")
     of_cameras = {*cameras, *([RIG] if rig else [])}
     if both := sorted(of_cameras & set(objects)):
         raise ValueError(f"`objects`: expected names of their own, got {', '.join(both)}")

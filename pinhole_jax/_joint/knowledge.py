@@ -175,7 +175,7 @@ def zeros_of(given: Any, views: Sequence[JointView]) -> list[JointPrior]:
         if view.posture is not None:
             units |= dict(zip(view.posture.joints, view.posture.units, strict=True))
             if view.mount is not None:
-                words = "expected no `mount` beside a `posture`, as joints move it too"
+                words = "expected no `mount` with a `posture`, as joints move it too"
                 raise ValueError(f"`joint_zeros`: {words}, got both in views[{k}]")
     if not units:
         raise ValueError("`joint_zeros`: expected views with a `posture`, got none")

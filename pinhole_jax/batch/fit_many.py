@@ -108,7 +108,7 @@ def fit_many(
     """
     _check(items, executor, workers, shard, time_limit, retry)
     if track and executor is not None:
-        raise ValueError("`executor`: expected None beside `track`, got one")
+        raise ValueError("`executor`: expected None with `track`, got one")
     results = None if out is None else Results(out)
     done = Ledger() if results is None else results.done(but=retry)
     total, before = _count(items, shard, done)

@@ -144,10 +144,10 @@ def read_start(record: Record, size: Size, say: Say) -> Start:
     """
     ways = [name for name in ("camera", "K", "fov") if name in record]
     if len(ways) > 1:
-        raise ValueError(f"`{ways[1]}`: expected none beside `{ways[0]}`")
+        raise ValueError(f"`{ways[1]}`: expected none with `{ways[0]}`")
     for name in ("start", "dist"):
         if name in record and ways != ["K"]:
-            raise ValueError(f"`{name}`: expected `K` beside it, got none")
+            raise ValueError(f"`{name}`: expected `K` with it, got none")
     window = _crop(record, size)
     if ways == ["camera"]:
         return Start(camera=window.camera(_file_camera(record, window.picture), "camera"))
@@ -160,7 +160,7 @@ def read_start(record: Record, size: Size, say: Say) -> Start:
         return Start(camera) if has_pose else Start(phi=camera.phi, lens=camera.lens)
     if window.crop is not None:
         raise ValueError(
-            "`crop`: expected `camera` or `K` beside it, got none: a field of view is that of the"
+            "`crop`: expected `camera` or `K` with it, got none: a field of view is that of the"
             " whole photo, whose size is not known"
         )
     phi = _phi(record, say)
@@ -194,7 +194,7 @@ def _K_camera(record: Record, size: Size) -> pj.Camera:
         with named(path="K"):
             camera = pj.formats.read_intrinsics(K, size=size, pixel_centres=centres)
         if distortion is not None and camera.distortion is not None:
-            raise ValueError(f"`dist`: expected none beside the lens of {K!r}")
+            raise ValueError(f"`dist`: expected none with the lens of {K!r}")
         matrix, *_ = pj.formats.to_opencv(camera, pixel_centres=centres)
         distortion, size = distortion or camera.distortion, (camera.W, camera.H)
     else:

@@ -67,7 +67,7 @@ def mask_with_colours(image: Image, opaque: np.ndarray) -> np.ndarray | None:
     if is_hard and not mixed and not is_photo and (not black or is_key):
         return mask
     raise ValueError(
-        "transparency and colours that say different things; give `mask_from` alpha (--mask-from"
+        "transparency and colours that disagree; give `mask_from` alpha (--mask-from"
         " alpha) or `mask_from` luminance (--mask-from luminance), whichever is the object"
     )
 
