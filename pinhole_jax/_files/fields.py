@@ -89,7 +89,7 @@ class Fields:
         words = f"numbers of shape ({sizes})" if shape else "a number"
         expected = expected or "finite " * finite + words
         value = self.get(name, expected)
-        array = _numbers(value if finite else _with_not_finite(value))
+        array = as_numbers(value if finite else _with_not_finite(value))
         if array is None or (finite and not np.all(np.isfinite(array))):
             raise self.wrong(name, expected, short(value))
         if not finite and array.shape == (0,):  # no parameters, no rows
@@ -101,7 +101,7 @@ class Fields:
 
     def shape(self, name: str) -> tuple[int, ...]:
         """Return the shape of a field's numbers, () if it holds none."""
-        array = _numbers(self.get(name, "numbers"))
+        array = as_numbers(self.get(name, "numbers"))
         return () if array is None else array.shape
 
     def rotation(self, name: str) -> np.ndarray:
@@ -171,7 +171,7 @@ def read_fields(path: FilePath, kind: str) -> Fields:
     return Fields(data, repr(str(path)))
 
 
-def _numbers(value: Any) -> np.ndarray | None:
+def as_numbers(value: Any) -> np.ndarray | None:
     """Return real numbers as an array, None for anything else."""
     try:
         array = np.asarray(value)

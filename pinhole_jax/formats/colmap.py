@@ -41,8 +41,12 @@ MOST_NAME, MOST_LINE, MOST_MODEL = 4096, 1 << 26, 1 << 36
 
 #: A camera's intrinsics, its lens, and the place in its file.
 Intrinsics = tuple[Pinhole, Distortion | None, Fields]
-#: A line of text or a record of bytes: its numbers, a name, and the place in the file.
-Record = tuple[Sequence[Any], str, str]
+#: The values of a line or a binary record, in the order of `COLUMNS`.
+Record = Sequence[Any]
+COLUMNS = {
+    "cameras": "CAMERA_ID MODEL WIDTH HEIGHT PARAMS",
+    "images": "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME",
+}
 
 
 def read_colmap(folder: FilePath) -> Cameras:
@@ -58,20 +62,12 @@ def read_colmap(folder: FilePath) -> Cameras:
     cameras = pj.formats.read_colmap("model")
     ```
     """
-    place = Path(folder)
-    for ending in (".bin", ".txt"):
-        files = [place / f"{part}{ending}" for part in ("cameras", "images")]
-        if all(file.exists() for file in files):
-            break
-    else:
-        raise FileNotFoundError(
-            "`folder`: expected a COLMAP model (cameras.txt and images.txt, or .bin), got"
-            f" {str(folder)!r}"
-        )
-    cameras, images = files
-    intrinsics = colmap_intrinsics(cameras)
-    records = _binary_images(images) if ending == ".bin" else _text_images(images)
-    return by_name(_posed(records, intrinsics, cameras), repr(str(images)))
+    for ending in ("bin", "txt"):
+        cameras, images = (Path(folder) / f"{part}.{ending}" for part in COLUMNS)
+        if cameras.exists() and images.exists():
+            return by_name(_posed(images, cameras), repr(str(images)))
+    words = "expected a COLMAP model (cameras.txt and images.txt, or .bin)"
+    raise FileNotFoundError(f"`folder`: {words}, got {str(folder)!r}")
 
 
 def write_colmap(folder: FilePath, cameras: Mapping[str, Camera], *, binary: bool = False) -> None:
@@ -88,20 +84,20 @@ def write_colmap(folder: FilePath, cameras: Mapping[str, Camera], *, binary: boo
     pj.formats.write_colmap("model", {"left.png": camera})
     ```
     """
-    place, ending = Path(folder), ".bin" if binary else ".txt"
+    place, ending, other = Path(folder), *((".bin", ".txt") if binary else (".txt", ".bin"))
     if place.exists() and not place.is_dir():
         raise ValueError(f"`folder`: expected a folder, got {str(folder)!r}: something else")
-    other = ".txt" if binary else ".bin"
-    stale = [f"{part}{other}" for part in (*PARTS, "rigs", "frames")]
-    stale += [f"rigs{ending}", f"frames{ending}"]
+    stale = [f"{part}{other}" for part in PARTS]
+    stale += [f"{part}{end}" for part in ("rigs", "frames") for end in (ending, other)]
     if found := [name for name in stale if (place / name).exists()]:
         raise ValueError(f"`folder`: expected none of another model, got {found[0]} in {folder!s}")
     check_cameras(cameras, "COLMAP", lambda name: _can_hold(name, binary))
-    views: dict[tuple, int] = {}
+    keys: dict[tuple, int] = {}
     images = [
-        (views.setdefault(_view(camera), len(views) + 1), _pose(camera), name)
-        for name, camera in cameras.items()
+        (number, *_pose(camera), keys.setdefault(_intrinsics(camera), len(keys) + 1), name)
+        for number, (name, camera) in enumerate(cameras.items(), 1)
     ]
+    views = [(key, *view) for view, key in keys.items()]
     parts = _binary(views, images) if binary else _text(views, images)
     for part, data in zip(PARTS, parts, strict=True):
         replace_file(place / f"{part}{ending}", data)
@@ -114,12 +110,18 @@ def _can_hold(name: str, binary: bool) -> bool:
 
 def colmap_intrinsics(file: Path) -> dict[str, Intrinsics]:
     """Return the intrinsics and lenses of a model's cameras.txt or .bin, by their numbers."""
-    records = _binary_cameras(file) if file.suffix == ".bin" else _text_cameras(file)
     cameras: dict[str, Intrinsics] = {}
-    for (key, *numbers), model, where in records:
+    for (key, *values), where in _records(file):
         key = _key("CAMERA_ID", key, where, cameras)
-        cameras[key] = _intrinsics(model, numbers, where)
+        cameras[key] = _view(*values, where=where)
     return cameras
+
+
+def _records(file: Path) -> Iterator[tuple[Record, str]]:
+    """Yield a file's records, each with its place."""
+    if file.suffix == ".txt":
+        return _lines_of(file)
+    return _binary_cameras(file) if file.stem == "cameras" else _binary_images(file)
 
 
 def _key(name: str, value: object, where: str, known: Iterable[str] = ()) -> str:
@@ -132,16 +134,17 @@ def _key(name: str, value: object, where: str, known: Iterable[str] = ()) -> str
     return key
 
 
-def _intrinsics(model: str, numbers: Sequence[float | int], where: str) -> Intrinsics:
+def _view(model: str, *values: Any, where: str) -> Intrinsics:
     if model not in NUMBERS:
         raise ValueError(f"`MODEL`: expected one of {', '.join(NUMBERS)}, got {model} ({where})")
     names = MODELS[NUMBERS[model]][1].split()
-    if len(numbers) != len(names) + 2:
+    if len(values) != len(names) + 2:
         raise ValueError(
             f"`PARAMS`: expected {len(names)} numbers ({', '.join(names)}) of {model}, got"
-            f" {len(numbers) - 2} ({where})"
+            f" {len(values) - 2} ({where})"
         )
-    fields = Fields(dict(zip(("WIDTH", "HEIGHT", *names), numbers, strict=True)), where)
+    numbers = zip(("WIDTH", "HEIGHT", *names), _numbers(values, where), strict=True)
+    fields = Fields(dict(numbers), where)
     fx, fy = ("f", "f") if "f" in names else ("fx", "fy")
     focals = fields.positive(fx), fields.positive(fy)
     centre = fields.number("cx"), fields.number("cy")
@@ -151,23 +154,28 @@ def _intrinsics(model: str, numbers: Sequence[float | int], where: str) -> Intri
     return view, distortion_model(distorted, fields, models), fields
 
 
-def _posed(
-    images: Iterable[Record], cameras: dict[str, Intrinsics], file: Path
-) -> Iterator[tuple[str, Camera]]:
+def _posed(images: Path, cameras: Path) -> Iterator[tuple[str, Camera]]:
     """Yield the cameras of images, with their names."""
-    met: set[str] = set()
-    for (key, *pose, camera), name, where in images:
+    known, met = colmap_intrinsics(cameras), set[str]()
+    for (key, *pose, camera, name), where in _records(images):
         met.add(_key("IMAGE_ID", key, where, met))
         number = _key("CAMERA_ID", camera, where)
-        if number not in cameras:
-            raise ValueError(
-                f"`CAMERA_ID`: expected a camera of {str(file)!r}, got {number} ({where})"
-            )
-        view, distortion, source = cameras[number]
-        w, *xyz = pose[:4]
-        fields = Fields({"QUATERNION": [*xyz, w], "TRANSLATION": pose[4:]}, where)
+        if number not in known:
+            words = f"expected a camera of {str(cameras)!r}, got {number} ({where})"
+            raise ValueError(f"`CAMERA_ID`: {words}")
+        view, distortion, source = known[number]
+        w, *xyz = _numbers(pose, where)
+        fields = Fields({"QUATERNION": [*xyz[:3], w], "TRANSLATION": xyz[3:]}, where)
         matrix = rigid(fields.rotation("QUATERNION"), fields.array("TRANSLATION", (3,)))
         yield name, camera_from_pinhole(view, inverse(matrix), OPENCV, source, distortion)
+
+
+def _numbers(values: Iterable[Any], where: str) -> list[float]:
+    """Return numbers, which a text's line has as words."""
+    try:
+        return [number(value) if isinstance(value, str) else value for value in values]
+    except ValueError as error:
+        raise ValueError(f"expected numbers, got {str(error)[:99]} ({where})") from None
 
 
 def _pose(camera: Camera) -> list[float]:
@@ -179,62 +187,46 @@ def _pose(camera: Camera) -> list[float]:
     return [w, *xyz, *matrix[:3, 3].tolist()]
 
 
-def _text_cameras(file: Path) -> Iterator[Record]:
-    for (key, model, *numbers), where in _entries(file, "CAMERA_ID MODEL WIDTH HEIGHT PARAMS"):
-        yield (key, *_numbers(numbers, where)), model, where
-
-
-def _text_images(file: Path) -> Iterator[Record]:
-    columns = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"
-    for (key, *pose, camera, name), where in _entries(file, columns, points=True):
-        yield (key, *_numbers(pose, where), camera), name.strip(), where
-
-
-def _entries(file: Path, columns: str, *, points: bool = False) -> Iterator[tuple[list[str], str]]:
-    """Yield the words of each entry, and its place; `points`: a line of points follows each."""
-    counts: list[int] = []
-    names, number, lines = columns.split(), 0, _lines(file, counts)
-    for where, line in lines:
-        words = line.split(maxsplit=len(names) - 1 if points else -1)
-        if not words:
+def _lines_of(file: Path) -> Iterator[tuple[Record, str]]:
+    """Yield the words of each entry of a text file, and its place; a line of points follows each
+    image's."""
+    columns, count, promised = COLUMNS[file.stem].split(), 0, None
+    images, lines = file.stem == "images", _lines(file)
+    for line, where in lines:
+        if heading := re.match(r"# Number of (?:cameras|images): (\d{1,18})", line):
+            promised = int(heading[1])
+        words = line.strip().split(maxsplit=len(columns) - 1 if images else -1)
+        if not words or line.startswith("#"):
             continue
-        if len(words) < len(names):
-            raise ValueError(f"expected {columns}, got {short(line)} ({where})")
+        if len(words) < len(columns):
+            raise ValueError(f"expected {COLUMNS[file.stem]}, got {short(line)} ({where})")
         yield words, where
-        number += 1
-        if points:
-            _check_points(*next(lines, (where, "")))
-    if counts and counts[0] != number:
-        words = f"{counts[0]} entries, as its heading says, got {number}"
+        count += 1
+        if images:
+            _check_points(*next(lines, ("", where)))
+    if promised not in (None, count):
+        words = f"{promised} entries, as its heading says, got {count}"
         raise ValueError(f"expected {words} (in {str(file)!r})")
 
 
-def _lines(file: Path, counts: list[int]) -> Iterator[tuple[str, str]]:
-    """Yield the place and the text of each line but comments, whose number of entries is added to
-    `counts`; points need not fit memory."""
+def _lines(file: Path) -> Iterator[tuple[str, str]]:
+    """Yield each line and its place; points need not fit memory."""
     with open_file(file, KIND, MOST_MODEL) as stream:
         for number, raw in enumerate(iter(lambda: stream.readline(MOST_LINE), b""), 1):
             where = f"{str(file)!r}, line {number}"
             if len(raw) == MOST_LINE:
                 raise ValueError(f"expected less than {MOST_LINE} bytes in a line ({where})")
-            try:
-                line = raw.decode("utf-8" if number > 1 else "utf-8-sig")
-            except UnicodeDecodeError:
-                raise ValueError(f"expected text, got bytes that are no UTF-8 ({where})") from None
-            if not line.startswith("#"):
-                yield where, line
-            elif heading := re.match(r"# Number of (?:cameras|images): (\d{1,18})", line):
-                counts.append(int(heading[1]))
+            yield _decoded(raw, where).removeprefix("\ufeff"), where
 
 
-def _numbers(words: list[str], where: str) -> list[float]:
+def _decoded(data: bytes, where: str) -> str:
     try:
-        return [number(word) for word in words]
-    except ValueError as error:
-        raise ValueError(f"expected numbers, got {str(error)[:99]} ({where})") from None
+        return data.decode()
+    except UnicodeDecodeError:
+        raise ValueError(f"expected text, got bytes that are no UTF-8 ({where})") from None
 
 
-def _check_points(where: str, line: str) -> None:
+def _check_points(line: str, where: str) -> None:
     """Check an image's second line, X Y POINT3D_ID, repeated: it may be a pose by mistake."""
     words = line.split()
     if len(words) % 3 or not all(re.fullmatch(r"-?\d+", word) for word in words[2::3]):
@@ -244,22 +236,21 @@ def _check_points(where: str, line: str) -> None:
         )
 
 
-def _binary_cameras(file: Path) -> Iterator[Record]:
+def _binary_cameras(file: Path) -> Iterator[tuple[Record, str]]:
     with _stream(file) as stream:
         for _ in range(*_take(stream, "<Q")):
-            key, model, W, H = _take(stream, "<IiQQ")
-            where = f"{str(file)!r}, camera {key}"
+            key, model, *size = _take(stream, "<IiQQ")
             name, parameters = MODELS.get(model, (f"number {model}", ""))
             numbers = _take(stream, f"<{len(parameters.split())}d")
-            yield (key, W, H, *numbers), name, where
+            yield (key, name, *size, *numbers), f"{str(file)!r}, camera {key}"
 
 
-def _binary_images(file: Path) -> Iterator[Record]:
+def _binary_images(file: Path) -> Iterator[tuple[Record, str]]:
     with _stream(file) as stream:
         for _ in range(*_take(stream, "<Q")):
             numbers = _take(stream, "<I7dI")
             where = f"{str(file)!r}, image {numbers[0]}"
-            yield numbers, _name(stream, where), where
+            yield (*numbers, _name(stream, where)), where
             points = 24 * _take(stream, "<Q")[0]
             stream.seek(min(points, MOST_MODEL), os.SEEK_CUR)
 
@@ -292,14 +283,11 @@ def _name(stream: BinaryIO, where: str) -> str:
         _take(stream, "c")
         raise ValueError(f"`NAME`: expected at most {MOST_NAME} bytes, got more ({where})")
     stream.seek(start + len(name) + 1)
-    try:
-        return name.decode("utf-8")
-    except UnicodeDecodeError:
-        raise ValueError(f"`NAME`: expected UTF-8, got {name[:60]!r} ({where})") from None
+    return _decoded(name, where)
 
 
-def _view(camera: Camera) -> tuple:
-    """Return intrinsics as a COLMAP model has them: its number, W, H, its parameters in order."""
+def _intrinsics(camera: Camera) -> tuple:
+    """Return intrinsics as a COLMAP model has them: its name, W, H, its parameters in order."""
     view, distortion = pinhole(camera, distorted=True), camera.distortion
     k3 = isinstance(distortion, BrownConrady) and float(distortion.k3)
     name = "FULL_OPENCV" if k3 or isinstance(distortion, Rational) else "OPENCV"
@@ -307,29 +295,25 @@ def _view(camera: Camera) -> tuple:
         name = "OPENCV_FISHEYE" if distortion else "PINHOLE"
     values = {**view._asdict(), **({} if distortion is None else distortion.coefficients())}
     parameters = MODELS[NUMBERS[name]][1].split()
-    return NUMBERS[name], view.W, view.H, *(values.get(name, 0.0) for name in parameters)
+    return name, view.W, view.H, *(values.get(name, 0.0) for name in parameters)
 
 
-def _text(views: dict[tuple, int], images: list[tuple]) -> Iterator[bytes]:
+def _text(views: list[tuple], images: list[tuple]) -> Iterator[bytes]:
     """Yield cameras.txt, images.txt and points3D.txt."""
-    words = lambda *values: " ".join(map(str, values))
-    cameras = [words(key, MODELS[model][0], *rest) for (model, *rest), key in views.items()]
-    poses = [words(k, *pose, key, name) for k, (key, pose, name) in enumerate(images, 1)]
-    yield "\n".join(["# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]", *cameras, ""]).encode()
-    head = "# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then its points: none\n"
-    yield (head + "".join(f"{pose}\n\n" for pose in poses)).encode()
+    for part, rows, end in (("cameras", views, "\n"), ("images", images, "\n\n")):
+        lines = (" ".join(map(str, row)) + end for row in rows)
+        yield "".join([f"# {COLUMNS[part]}\n", *lines]).encode()
     yield b"# no points\n"
 
 
-def _binary(views: dict[tuple, int], images: list[tuple]) -> Iterator[bytes]:
+def _binary(views: list[tuple], images: list[tuple]) -> Iterator[bytes]:
     """Yield cameras.bin, images.bin and points3D.bin."""
     none = struct.pack("<Q", 0)
     yield struct.pack("<Q", len(views)) + b"".join(
-        struct.pack(f"<IiQQ{len(numbers)}d", key, model, W, H, *numbers)
-        for (model, W, H, *numbers), key in views.items()
+        struct.pack(f"<IiQQ{len(numbers)}d", key, NUMBERS[model], W, H, *numbers)
+        for key, model, W, H, *numbers in views
     )
     yield struct.pack("<Q", len(images)) + b"".join(
-        struct.pack("<I7dI", k, *pose, key) + name.encode() + b"\0" + none
-        for k, (key, pose, name) in enumerate(images, 1)
+        struct.pack("<I7dI", *row) + name.encode() + b"\0" + none for *row, name in images
     )
     yield none

@@ -5,6 +5,7 @@ Focal lengths in px (`camera_matrix`), no field of view. Pixel centres lie at in
 file's `pixel_centres` says "half".
 """
 
+import json
 import re
 from collections.abc import Mapping
 from typing import Any
@@ -15,7 +16,7 @@ from .._camera.camera import Camera
 from .._camera.distortion import BrownConrady, Distortion, Fisheye, Rational
 from .._camera.matrices import Centres, half_pixel
 from .._camera.poses import Pose, inverse, rigid
-from .._files.fields import NO, YES, Fields, Size, short
+from .._files.fields import Fields, Size, as_numbers, short
 from .._files.paths import FilePath
 from .._numerics.arrays import Input
 from .cameras import Cameras, by_name, check_cameras, save_text
@@ -45,40 +46,33 @@ NAMES = {
     "pixel_centres": "pixelcentres",
 }
 PLAIN_NAMES = {plain: name for name, known in NAMES.items() for plain in known.split()}
-#: What looks like coefficients of a lens under a name that is not known.
-LENS = re.compile(
-    r"dist(?!anc|rib|inct|rict|orted)\w*|\w*(?<!un)distort(?!ed)\w*|\w*coef\w*|kc|xi|[kp][1-6]"
-    r"|(radial|tangential)(params|parameters)?"
+#: What looks like coefficients of a lens, one number or several, under a name that is not known.
+LENS_NUMBER = re.compile(r"(.*[_.\-\s])?([kp][1-6]|xi)", re.I)
+LENS_NUMBERS = re.compile(
+    r".*((?i:(?<!un)distor|coef|radial|tangential|dist\d*$)|(^|[_.\-\s])[Dd]\d*$|[a-z]D\d*$).*|kc"
 )
-#: The same of fields that hold one number, and of those that hold several.
-LENS_NUMBER = re.compile(r".*[_.\-\s][kp][1-6]", re.I)
-LENS_NUMBERS = re.compile(r".*dist\d*|(.*[_.\-\s])?d\d*|.*(?-i:[a-z]D)\d*", re.I)
-#: Fields that say yes or no, to what is left out here.
-YES_OR_NO = re.compile(r"(is|has|use|with|apply|enable|un)\w*")
-#: Fields that name the lens's model, those that may, and those that say yes or no to a fisheye.
+#: Fields that may name the lens's model, those that do, and those that say yes or no to a fisheye.
+MAYBE_MODELS = re.compile(r"\w*(model|type|lens|projection)\w*")
 MODELS = re.compile(
     r"(distortion|lens|projection)(model|type)|distmodel|cameramodel(type)?|modeltype"
 )
-MAYBE_MODELS = re.compile(r"\w*(model|type|lens|projection)\w*")
 FLAGS = ("fisheyemodel", "isfisheye", "usefisheye", "fisheye")
-#: Models by the names that OpenCV, ROS, Kalibr, camodocal and COLMAP have for them.
+#: Models by the names that OpenCV, ROS, Kalibr, camodocal and COLMAP have for them, and words that
+#: say nothing of the distortion.
 FISHEYES = re.compile(r"(opencv)?fisheye|(pinhole)?equi|equidist(ant)?|kannalabrandt[48]?|kb4?")
-PLAIN = re.compile(
-    r"plumbbob|rational(polynomial)?|(pinhole)?radtan|radialtangential|(simple)?radial|standard"
-    r"|brown(conrady)?|(full)?opencv"
+BENT = re.compile(
+    r"plumbbob|rational(polynomial)?|(pinhole)?radtan|radialtangential|(simple)?radial"
+    r"|brown(conrady)?|fullopencv"
 )
-MENTIONED = re.compile(r"fisheye|equidist|kannala", re.I)
+NEITHER = ("pinhole", "simplepinhole", "perspective", "standard", "opencv", "none", "")
+MENTIONED = re.compile(r"fisheye|equidist|kannala")
 #: What YAML and JSON write where there is nothing.
 NULLS = (None, "~", "null", "")
-#: Models of a projection, which say nothing of the distortion.
-NEITHER = ("pinhole", "simplepinhole", "perspective", "none", "")
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tau_x",
                 "tau_y")  # fmt: skip
 FISHEYE = ("k1", "k2", "k3", "k4")
 #: A rotation vector that is longer (rad) has lost its angle to rounding.
 MOST_ANGLE = 1e4
-#: FileStorage's escapes that it can read again: not its `\xNN`, which swallows the letters behind.
-ESCAPES = {"\\": "\\", '"': '"', "\n": "n", "\r": "r", "\t": "t"}
 #: What YAML cannot hold as it stands, or takes for the end of a line.
 UNPRINTABLE = re.compile("[\0-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\ufeff\ufffe\uffff]")
 #: The longest text that FileStorage reads.
@@ -175,8 +169,8 @@ def write_opencv(
     model = first.distortion or BrownConrady()
     coefficients = np.array([*model.coefficients().values()])
     text = f"%YAML:1.0\n---\nimage_width: {first.W}\nimage_height: {first.H}\n"
-    text += f"pixel_centres: {_quoted(pixel_centres)}\n"
-    text += f"camera_names: [ {', '.join(map(_quoted, cameras))} ]\n"
+    text += f"pixel_centres: {json.dumps(pixel_centres)}\n"
+    text += f"camera_names: [ {json.dumps([*cameras], ensure_ascii=False)[1:-1]} ]\n"
     text += _matrix("camera_matrix", K)
     text += 'distortion_model: "fisheye"\n' * isinstance(model, Fisheye)
     text += _matrix("distortion_coefficients", coefficients[:, None])
@@ -204,7 +198,12 @@ def _known(file: Fields) -> Fields:
         if isinstance(value, str | None) and value in NULLS:
             continue
         if name is None:
-            known.update(_lens_model(file, str(key), value, known))
+            fisheye = _is_fisheye(file, str(key), value)
+            if fisheye is None:
+                _check_no_lens(file, str(key), value)
+            elif known.setdefault("fisheye", fisheye) != fisheye:
+                words = "a fisheye here and none in another field"
+                raise file.wrong(str(key), "one model of the lens", words)
         elif name in known:
             raise file.wrong(name, "one such field", f"{str(key)!r} too")
         else:
@@ -215,51 +214,36 @@ def _known(file: Fields) -> Fields:
 
 
 def _plain(key: Any) -> str:
-    return re.sub(r"[_.\-\s]", "", str(key)).lower()
+    return re.sub(r"[\W_]", "", str(key)).lower()
 
 
-def _lens_model(file: Fields, key: str, value: Any, known: dict[str, Any]) -> dict[str, bool]:
-    """Return a `fisheye` flag if a field is about the lens's model, else nothing."""
-    plain = _plain(key)
-    is_model = MODELS.fullmatch(plain)
+def _is_fisheye(file: Fields, key: str, value: Any) -> bool | None:
+    """True or False for a field that names the lens's model, None for one that does not."""
+    plain, word = _plain(key), _plain(value)
     if plain in FLAGS:
-        fisheye = file.flag(key)
-    elif is_model or (MAYBE_MODELS.fullmatch(plain) and isinstance(value, str)):
-        word = re.sub(r"[\W_]", "", str(value)).lower()
-        fisheye = FISHEYES.fullmatch(word) is not None
-        known_word = fisheye or PLAIN.fullmatch(word)
-        unsure = not known_word and not MENTIONED.search(word)
-        if word in NEITHER or (not is_model and (unsure or word in ("opencv", "standard"))):
-            return {}
-        if not known_word:
-            words = "a model of OpenCV's (plumb_bob, rational_polynomial, fisheye, ...)"
-            raise file.wrong(key, words, short(value))
-    elif lost := _coefficients(key, value):
-        words = "a lens's coefficients as `distortion_coefficients: [k1, k2, p1, p2, k3]`"
-        raise file.wrong(lost, words, f"a field {lost[:60]!r}, whose meaning is not known")
-    else:
-        return {}
-    if known.get("fisheye", fisheye) != fisheye:
-        raise file.wrong(key, "one model of the lens", "a fisheye here and none in another field")
-    return {"fisheye": fisheye}
+        return file.flag(key)
+    if not (isinstance(value, str) and MAYBE_MODELS.fullmatch(plain)) or word in NEITHER:
+        return None
+    if FISHEYES.fullmatch(word) or BENT.fullmatch(word):
+        return FISHEYES.fullmatch(word) is not None
+    if MODELS.fullmatch(plain) or MENTIONED.search(word):
+        words = "a model of OpenCV's (plumb_bob, rational_polynomial, fisheye, ...)"
+        raise file.wrong(key, words, short(value))
+    return None
 
 
-def _coefficients(key: str, value: Any) -> str:
-    """Return the name of a field that looks like coefficients other than 0, in a map or not; ""
-    if there is none."""
+def _check_no_lens(file: Fields, key: str, value: Any) -> None:
+    """Raise ValueError where a field looks like coefficients other than 0, in a map or not."""
     if isinstance(value, Mapping) and "data" not in value:
-        inner = (_coefficients(f"{key}.{name}", part) for name, part in value.items())
-        return next(filter(None, inner), "")
-    plain, last = _plain(key), _plain(key.rpartition(".")[2])
-    try:
-        numbers = np.asarray(value["data"] if isinstance(value, Mapping) else value, float)
-    except (TypeError, ValueError, OverflowError):
-        suspect, lens = str(value).strip().lower() not in (*YES, *NO), LENS
-    else:
-        suspect = not isinstance(value, bool) and bool(np.any(numbers))
-        lens = LENS_NUMBERS if numbers.size > 1 else LENS_NUMBER
-    looks = lens.fullmatch(key) or LENS.fullmatch(plain) or LENS.fullmatch(last)
-    return key if suspect and looks and not YES_OR_NO.fullmatch(plain) else ""
+        for name, part in value.items():
+            _check_no_lens(file, f"{key}.{name}", part)
+        return
+    numbers = as_numbers(value["data"] if isinstance(value, Mapping) else value)
+    if numbers is None or not np.any(numbers):
+        return
+    if (LENS_NUMBERS if numbers.size > 1 else LENS_NUMBER).fullmatch(key):
+        words = "a lens's coefficients as `distortion_coefficients: [k1, k2, p1, p2, k3]`"
+        raise file.wrong(key, words, f"a field {key[:60]!r}, whose meaning is not known")
 
 
 def _poses(fields: Fields) -> list[Pose]:
@@ -305,19 +289,12 @@ def _distortion(fields: Fields) -> Distortion | None:
 
 def _matrix(name: str, array: np.ndarray) -> str:
     """Return a matrix as FileStorage writes it."""
-    numbers = [repr(float(x)) for x in array.ravel()]
-    lines = [", ".join(numbers[k : k + 4]) for k in range(0, len(numbers), 4)]
-    data = ",\n       ".join(lines)
+    data = ",\n       ".join(str(row)[1:-1] for row in array.tolist())
     rows, cols = array.shape
     return (
         f"{name}: !!opencv-matrix\n   rows: {rows}\n   cols: {cols}\n   dt: d\n"
         f"   data: [ {data} ]\n"
     )
-
-
-def _quoted(text: str) -> str:
-    """Return a text in quotes."""
-    return '"' + "".join(f"\\{ESCAPES[c]}" if c in ESCAPES else c for c in text) + '"'
 
 
 def _can_hold(text: str) -> bool:
