@@ -443,22 +443,6 @@ def test_large_picture_takes_ten_bytes_a_pixel(tmp_path, exhaustive):
             assert int(done.stdout) < 10 * n * n + 10e6, (image.mode, way, int(done.stdout) / n**2)
 
 
-def test_soft_edges_are_the_same_band_by_band(tmp_path):
-    """Copies above each other, in many bands, are read as one in a single band."""
-    random = np.random.default_rng(3)
-    photo = np.full((300, 70, 3), 255, np.uint8)
-    for _ in range(9):
-        row, column = random.integers(10, 250), random.integers(5, 40)
-        photo[row : row + 40, column : column + 20] = random.integers(0, 200, 3)
-    blurred = np.asarray(Image.fromarray(photo).resize((69, 299), Image.Resampling.BILINEAR))
-    masks = []
-    for copies in (1, 30):
-        Image.fromarray(np.tile(blurred, (copies, 1, 1))).save(tmp_path / "p.png")
-        masks.append(io.load_mask(tmp_path / "p.png", "background=white"))
-    assert_array_equal(masks[1], np.tile(masks[0], (30, 1)))
-    assert len(np.unique(masks[0])) > 9
-
-
 def test_webp_that_takes_too_much_memory_is_refused(tmp_path):
     path = tmp_path / "w.webp"
     Image.new("L", (30, 20), 255).save(path, lossless=True)

@@ -1,11 +1,10 @@
 """Label pictures: some values, each on a flat area, where a mask has two levels and soft edges."""
 
-from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
 
-from .._files.pictures import Image, rows
+from .._files.pictures import rows
 
 #: Pixels are flat where all that touch them are alike. A value is a level if it has at least this
 #: many of them, and they are this share of its pixels: values of edges and noise have fewer.
@@ -15,6 +14,8 @@ FLAT_PX, FLAT_SHARE = 4, 0.25
 FEW, AREA = 16, 5e-3
 #: Edges are soft where this share of the pixels beside another value is of no level.
 SOFT = 0.1
+#: Where some pixels do not count, labels are all that the others show, up to this share.
+OTHERS = 0.01
 #: Levels of a picture with soft edges differ by more than this share of the largest value.
 NOISE = 8 / 255
 #: The dark level of a mask is at most this share of its light one, which is at least that of its
@@ -24,72 +25,60 @@ DARK, LIGHT = 0.1, 0.9
 MOST_VALUES = 4096
 
 
-def labels_in(image: Image, values: Callable[[Image], np.ndarray] = np.asarray) -> np.ndarray:
-    """Return the labels that a picture holds, in order; none where it may be a mask.
+class _Counts(NamedTuple):
+    """The values of a picture in order, how many pixels and how many flat ones each has."""
+
+    values: np.ndarray
+    pixels: np.ndarray
+    flat: np.ndarray
+
+
+def labels_in(numbers: np.ndarray, seen: np.ndarray | None = None) -> np.ndarray:
+    """Return the labels among a picture's numbers (H, W), in order; none where it may be a mask.
 
     A mask has two levels, dark and light; noise and soft edges may lie between them. More levels
     are labels, and so are two that are both light, or not its largest value.
 
-    - `values`: the numbers (H, W) of some rows of the picture.
+    - `seen`: the pixels that count, True; None: all.
     """
-    try:
-        counts = _counted(_with_flat(image, values))
-    except OverflowError:
-        return np.zeros(0)
-    levels = counts.values[_is_level(counts)]
-    if len(levels) < 2:
+    counts = _counted(numbers, seen)
+    if counts is None:
+        return numbers[:0, 0]
+    is_few, total = len(counts.values) <= FEW, np.sum(counts.pixels)
+    least = FLAT_PX if is_few else max(FLAT_PX, AREA * (np.sum(counts.flat) - np.max(counts.flat)))
+    is_level = (counts.flat >= least) & (counts.flat >= FLAT_SHARE * counts.pixels)
+    levels, others = counts.values[is_level], total - np.sum(counts.pixels[is_level])
+    if len(levels) < 2 or (seen is not None and others > OTHERS * total):
         return levels[:0]
-    most = float(counts.values[-1])
-    if len(counts.values) > FEW and _is_soft(counts):
+    most = counts.values[-1].astype(float)
+    if not is_few and others > SOFT * (total - np.sum(counts.flat)):
         levels = levels[[*np.flatnonzero(np.diff(levels) > NOISE * most), -1]]
         return levels if len(levels) > 2 else levels[:0]
     is_mask = levels[0] <= DARK * levels[1] and levels[1] >= LIGHT * most
     return levels[:0] if len(levels) == 2 and is_mask else levels
 
 
-class _Counts(NamedTuple):
-    """The values of a picture in order, how many pixels and how many flat ones each has, and how
-    many pixels are beside another value."""
+def _counted(numbers: np.ndarray, seen: np.ndarray | None) -> _Counts | None:
+    """Return the counts of all values but those of the border; None where there are too many."""
+    from scipy.ndimage import maximum_filter, minimum_filter
 
-    values: np.ndarray
-    pixels: np.ndarray
-    flat: np.ndarray
-    edges: int
-
-
-def _with_flat(
-    image: Image, values: Callable[[Image], np.ndarray]
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield the numbers of some rows at a time, and which of their pixels are flat.
-
-    Pixels of the picture's border are left out.
-    """
-    W, H = image.size
-    for part in rows(H, W):
-        top, bottom = max(part.start - 1, 0), min(part.stop + 1, H)
-        here = np.asarray(values(image.crop((0, top, W, bottom))))
-        same = here[:, 1:] == here[:, :-1]
-        same = same[:, 1:] & same[:, :-1]
-        below = here[1:, 1:-1] == here[:-1, 1:-1]
-        flat = same[1:-1] & same[2:] & same[:-2] & below[1:] & below[:-1]
-        yield here[1:-1, 1:-1], flat
-
-
-def _counted(parts: Iterator[tuple[np.ndarray, np.ndarray]]) -> _Counts:
-    """Return the counts of all values; raise OverflowError where there are too many."""
     table: dict[float, np.ndarray] = {}
-    edges = 0
-    for here, flat in parts:
+    for part in rows(*numbers.shape):
+        here = numbers[max(part.start - 1, 0) : part.stop + 1]
+        flat = (minimum_filter(here, 3) == maximum_filter(here, 3))[1:-1, 1:-1]
+        here = here[1:-1, 1:-1]
+        if seen is not None:
+            shown = seen[max(part.start, 1) : part.stop + 1, 1:-1][: len(here)]
+            here, flat = here[shown], flat[shown]
         for k, some in enumerate((here, here[flat])):
             there, counts = _unique(some)
             if len(there) > MOST_VALUES:
-                raise OverflowError
+                return None
             for value, count in zip(there.tolist(), counts, strict=True):
                 table.setdefault(value, np.zeros(2))[k] += count
-        edges += flat.size - int(np.count_nonzero(flat))
     order = sorted(table)
-    counts = np.array([table[value] for value in order]).reshape(-1, 2)
-    return _Counts(np.array(order), counts[:, 0], counts[:, 1], edges)
+    pixels, flat = np.array([table[value] for value in order]).reshape(-1, 2).T
+    return _Counts(np.array(order, numbers.dtype), pixels, flat)
 
 
 def _unique(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -99,14 +88,3 @@ def _unique(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     counts = np.bincount(values.ravel())
     there = np.flatnonzero(counts)
     return there, counts[there]
-
-
-def _is_level(counts: _Counts) -> np.ndarray:
-    least = FLAT_PX
-    if len(counts.values) > FEW:
-        least = max(least, AREA * (np.sum(counts.flat) - np.max(counts.flat)))
-    return (counts.flat >= least) & (counts.flat >= FLAT_SHARE * counts.pixels)
-
-
-def _is_soft(counts: _Counts) -> bool:
-    return bool(np.sum(counts.pixels[~_is_level(counts)]) > SOFT * counts.edges)

@@ -4,7 +4,6 @@ The meaning of a picture's values is not guessed where it matters. A picture tha
 first sight is refused, with the ways to read it.
 """
 
-import contextlib
 import re
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -12,11 +11,21 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._files.paths import FilePath
-from .._files.pictures import BAND, Image, bands, by_bands, eight_bits, from_picture, rows
+from .._files.pictures import Image, bands, by_bands, eight_bits, from_picture
 from .._mask.target import MOST_BORDER, covered_border
-from .labels import FEW, labels_in
-from .tidy import SPECK, parts
-from .transparency import DARK, GREY, LIGHT, mask_with_colours, opacity, opaque_pixels
+from .labels import labels_in
+from .tidy import SPECK, drop_specks
+from .transparency import (
+    DARK,
+    GREY,
+    LIGHT,
+    colours_at,
+    mask_with_colours,
+    nearest,
+    opacity,
+    ring,
+    shrunk,
+)
 
 #: The ways to read a mask, as `mask_from` and the command's `--mask-from` name them.
 WAYS = "alpha, luminance, label=N, background=COLOR (or COLOR,TOLERANCE)"
@@ -25,16 +34,12 @@ ALPHA = "mask: the transparency (alpha)"
 BOTH = "mask: the colours where they are not transparent"
 #: How a mask was read whose background is not black: by more than this (of 255).
 HAZE, MOST_HAZE = "mask: its brightness", 16
-#: This share of the pixels may have another colour where colours are labels.
-FEW_OTHERS = 0.01
 #: What data sets write for pixels that nobody labelled.
 VOID = (255, 65535)
 #: Soft edges of a background mask reach this far (px) to both sides.
 BAND_PX = 2
-#: The nearest colour of the object is looked for this many rows (px) around.
-REACH_PX = 64
-#: More parts than this are noise.
-MOST_PARTS = 1 << 20
+#: So many pixels are enough for a threshold.
+SAMPLE = 1 << 20
 
 
 def load_mask(
@@ -124,44 +129,22 @@ def read_mask(image: Image, way: Way, invert: bool = False) -> MaskReading:
     if invert:
         return MaskReading(255 - read.mask, f"{read.words or 'mask: its brightness'}, inverted")
     if way.name == "first sight":
-        _check_border(read, image)
+        _check_border(read)
     return read
 
 
-def _check_border(read: MaskReading, image: Image) -> None:
+def _check_border(read: MaskReading) -> None:
     """Raise ValueError for a mask that covers its border, and yet not all of the picture."""
     inside = read.mask > 127
     share = covered_border(inside)
     if share <= MOST_BORDER or np.all(inside):
         return
-    if label := _label_amid_void(image):
-        raise ValueError(
-            f"a picture that covers {share:.0%} of its border with a value that is often void; give"
-            f" `mask_from` label={label} (--mask-from label={label}) if its object is that"
-        )
-    inner = inside[1:-1, 1:-1]
-    if inner.size and covered_border(inner) <= MOST_BORDER:
-        raise ValueError("a picture with a frame of one pixel: crop it, or make it background")
-    ways = {"": "luminance", HAZE: "luminance", BOTH: "luminance", ALPHA: "alpha"}
-    way = ways.get(read.words.partition(",")[0], "label=1")
+    way = "alpha" if read.words.startswith(ALPHA) else "luminance"
     raise ValueError(
-        f"a picture that covers {share:.0%} of its border, like a black object on white; give"
-        " `invert` (on the command line: --invert), or where it is right"
+        f"a picture that covers {share:.0%} of its border, like a black object on white, or labels"
+        " amid void; give `invert` (on the command line: --invert), or where it is right"
         f" `mask_from` {way} (--mask-from {way}) and a camera to start from"
     )
-
-
-def _label_amid_void(image: Image) -> int:
-    """Return the one label of a picture with void around it, or in a frame of one pixel; else 0."""
-    if image.mode == "P" or not _has_numbers(image) or min(image.size) < 3:
-        return 0
-    values, (W, H) = _values(image), image.size
-    labels = [int(x) for x in values if x > 0 and x not in VOID]
-    amid_void = values[-1] in VOID and len(labels) == 1
-    if amid_void and 0 in values:
-        inner = _values(image.crop((1, 1, W - 1, H - 1)))
-        amid_void = np.array_equal(inner, [0, *labels])
-    return labels[0] if amid_void else 0
 
 
 def _read(image: Image, way: Way) -> MaskReading:
@@ -179,138 +162,83 @@ def _read(image: Image, way: Way) -> MaskReading:
 def _at_first_sight(image: Image) -> MaskReading:
     if image.has_transparency_data and (read := _transparent(image)) is not None:
         return read
-    if _two_colours(image):
-        return MaskReading(_label(image, 1).mask, "mask: its palette's entry 1")
-    is_grey = image.mode != "P" and _has_numbers(image)
+    is_palette, is_grey = image.mode == "P", image.mode != "P" and _has_numbers(image)
+    numbers = _numbers(image)
+    is_black = not is_palette or not any(image.getpalette()[:3])  # what is 0, as of labels
+    if image.mode in ("L", "P") and numbers.max() == 1 and is_black:
+        return MaskReading(255 * numbers, "mask: its values 0 and 1")
     grey = eight_bits(image) if is_grey else by_bands(image, _grey)
-    labels = labels_in(image, np.asarray if is_grey else _grey)
-    _check_labels(image, _entries(image, labels) if image.mode == "P" else labels)
-    between = np.count_nonzero((grey >= DARK) & (grey <= LIGHT))
-    if between > np.count_nonzero(grey > LIGHT):
+    labels = labels_in(numbers if is_grey else grey)
+    if is_palette and len(labels):
+        labels = np.unique(numbers[np.isin(grey, labels)])
+    _check_labels(labels, "values", _has_numbers(image))
+    counts = _counts(grey)
+    values = np.flatnonzero(counts)
+    low, most = int(values[0]), int(values[-1])
+    between = counts[DARK : LIGHT + 1].sum()
+    if between > counts[LIGHT + 1 :].sum():
         raise ValueError(
             f"a grey picture in which {between / grey.size:.0%} of the pixels are neither black nor"
-            f" white; say what is the object: {_labels(image)}"
+            f" white; say what is the object: {WAYS}"
         )
-    if grey.max() == 1 and image.mode in ("L", "P"):
-        return MaskReading(255 * grey, "mask: its values 0 and 1")
-    if 0 < grey.max() < DARK:
-        raise ValueError(f"a picture no lighter than {grey.max()} of 255; {_labels(image)}")
-    return _without_haze(grey)
+    if 0 < most < DARK:
+        raise ValueError(f"a picture no lighter than {most} of 255; labels? {WAYS}")
+    if low > 0 and len(values) == 2:
+        return MaskReading(_stretched(grey, values), f"{HAZE}, {low} and {most}")
+    hazy = f"{HAZE}, whose background is at least {low} of 255"
+    return MaskReading(grey, hazy if low > MOST_HAZE else "")
 
 
-def _without_haze(grey: np.ndarray) -> MaskReading:
-    """Return a grey mask; 0 and 255 for its values if they are two and neither is 0."""
-    low, high = int(grey.min()), int(grey.max())
-    if low > 0 and (hard := _two_levels(grey)) is not None:
-        return MaskReading(hard, f"{HAZE}, {low} and {high}")
-    if low > MOST_HAZE:
-        return MaskReading(grey, f"{HAZE}, whose background is at least {low} of 255")
-    return MaskReading(grey, "")
+def _counts(grey: np.ndarray) -> np.ndarray:
+    """Return how many pixels have each of the values 0 to 255."""
+    from PIL import Image as pillow
+
+    return np.array(pillow.fromarray(grey).histogram())
 
 
-def _two_levels(array: np.ndarray) -> np.ndarray | None:
-    """Return an array of two values as 0 and 255; None if there are fewer or more."""
-    low, high = array.min(), array.max()
-    if low == high or not all(np.all((row == low) | (row == high)) for row in array):
-        return None
-    return np.where(array == high, np.uint8(255), np.uint8(0))
+def _stretched(grey: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return a picture scaled so that its largest value is 255; its two values as 0 and 255."""
+    from PIL import Image as pillow
+
+    is_hard, most = len(values) == 2, values[-1]
+    table = [
+        255 * (x >= most) if is_hard or x > most else round(255 * x / most) for x in range(256)
+    ]
+    return np.asarray(pillow.fromarray(grey).point(table))
 
 
 def _transparent(image: Image) -> MaskReading | None:
     """Return the mask of a picture whose transparency varies, None where it does not."""
     opaque = opacity(image)
-    most = opaque.max()
-    if opaque.min() == most:
-        if most == 0 and _varies(image):
+    values, words = np.flatnonzero(_counts(opaque)), ALPHA
+    if len(values) == 1:
+        if values[0] == 0 and np.ptp(image.convert("RGBA").getextrema()[:3], axis=1).any():
             words = "a picture that is transparent everywhere; say what is the object"
             raise ValueError(f"{words}: {WAYS}")
-        return None if most else MaskReading(opaque, ALPHA)
-    _check_opacity(image)
-    _check_labels(image, _labels_that_show(image))
-    words = ALPHA
-    if most < 255 or opaque.min() > 0:
-        words = f"{ALPHA}, its values {opaque.min()} to {most}"
-        opaque = _stretched(opaque)
+        return None if values[0] else MaskReading(opaque, ALPHA)
+    _check_labels(labels_in(opaque), "transparency (alpha) of the values", False)
+    numbers = _numbers(image)
+    is_colour = not _has_numbers(image)
+    labels = labels_in(numbers, opaque > 0)
+    _check_labels(labels, "colours" if is_colour else "values", not is_colour)
+    del numbers  # a large picture's are as large as it
+    if values[0] > 0 or values[-1] < 255:
+        words = f"{ALPHA}, its values {values[0]} to {values[-1]}"
+        if len(values) > 2 and values[-1] < DARK:
+            raise ValueError(f"transparency (alpha) of at most {values[-1]} of 255; labels? {WAYS}")
+        opaque = _stretched(opaque, values)
     mask = mask_with_colours(image, opaque)
-    if mask is not None:
-        return MaskReading(mask, BOTH)
-    _check_colours(image)
-    return MaskReading(opaque, words)
+    return MaskReading(opaque, words) if mask is None else MaskReading(mask, BOTH)
 
 
-def _check_opacity(image: Image) -> None:
-    """Raise ValueError where the transparency holds labels."""
-    if len(labels := labels_in(image, opaque_pixels)):
-        raise ValueError(
-            "a label picture, it seems, with flat areas of the transparency (alpha) of the values"
-            f" {_listed(labels)}; save it as grey to pick one, or give one of {WAYS}"
-        )
+def _numbers(image: Image) -> np.ndarray:
+    """Return a number for each pixel: its value, or its colour (0xrrggbb) behind its brightness."""
 
+    def packed(band: Image) -> np.ndarray:
+        colours = np.asarray(band.convert("RGB")).astype(np.uint32)
+        return (colours.max(axis=-1) << 24) | (colours @ np.uint32([1 << 16, 1 << 8, 1]))
 
-def _stretched(opaque: np.ndarray) -> np.ndarray:
-    """Return an opacity scaled so that its largest value is 255, its two values 0 and 255.
-
-    Raises ValueError where it is hardly there.
-    """
-    if (hard := _two_levels(opaque)) is not None:
-        return hard
-    most = int(opaque.max())
-    if most < DARK:
-        raise ValueError(f"transparency (alpha) of at most {most} of 255; labels? {WAYS}")
-    result = np.empty_like(opaque)
-    for part in rows(*opaque.shape):
-        result[part] = np.round(opaque[part] * (255 / most))
-    return result
-
-
-def _check_colours(image: Image) -> None:
-    """Raise ValueError for a picture of two or more flat colours and no others: each may be an
-    object."""
-    if _has_numbers(image):
-        return
-    labels = labels_in(image, _numbered)
-    labels = labels[labels >= 0]
-    if len(labels) < 2:
-        return
-    seen = others = 0
-    for _, band in bands(image):
-        numbers = _numbered(band)
-        numbers = numbers[numbers >= 0]
-        seen += numbers.size
-        others += np.count_nonzero(~np.isin(numbers, labels))
-    if others <= FEW_OTHERS * seen:
-        names = ", ".join(f"#{int(x):06x}" for x in labels[:12]) + ", ..." * (len(labels) > 12)
-        raise ValueError(
-            f"a label picture, it seems, with flat areas of the colours {names}; give `mask_from`"
-            " alpha (--mask-from alpha) if all of them are the object, or save one as the mask"
-        )
-
-
-def _numbered(band: Image) -> np.ndarray:
-    """Return a number for the colour of each pixel, -1 where it is transparent."""
-    rgba = np.asarray(band.convert("RGBA")).astype(np.int32)
-    red, green, blue, opaque = np.moveaxis(rgba, -1, 0)
-    return np.where(opaque == 0, -1, (red << 16) + (green << 8) + blue)
-
-
-def _varies(image: Image) -> bool:
-    """Return True for a picture of more than one colour."""
-    return any(low != high for low, high in image.convert("RGBA").getextrema()[:3])
-
-
-def _labels_that_show(image: Image) -> np.ndarray:
-    """Return the labels of a picture in which one value or colour is transparent."""
-    none = np.zeros(0)
-    if image.mode in ("LA", "PA", "RGBA") or (image.mode == "P" and not image.getcolors(FEW)):
-        return none
-    numbers = np.asarray if _has_numbers(image) else _grey
-    hidden = lambda band: opaque_pixels(band) == 0
-    with contextlib.suppress(ValueError):
-        minus = np.int32(-1)
-        labels = labels_in(image, lambda band: np.where(hidden(band), minus, numbers(band)))
-        labels = labels[labels >= 0]
-        return labels if len(labels) > 1 else none
-    return none  # colours
+    return np.asarray(image) if _has_numbers(image) else by_bands(image, packed, dtype=np.uint32)
 
 
 def _has_numbers(image: Image) -> bool:
@@ -318,50 +246,26 @@ def _has_numbers(image: Image) -> bool:
     return image.mode in ("1", "L", "P") or image.mode.startswith(("I", "F"))
 
 
-def _check_labels(image: Image, labels: np.ndarray) -> None:
-    """Raise ValueError where there are labels."""
+def _check_labels(labels: np.ndarray, kind: str, is_pickable: bool) -> None:
+    """Raise ValueError where there are labels; `is_pickable`: `label=N` reads one."""
     if not len(labels):
         return
-    words = f"a label picture, it seems, with flat areas of the values {_listed(labels)}"
-    if void := [x for x in labels if x in VOID]:
-        words += f" ({void[0]:g} is often void: give such pixels weight 0)"
-    if not _has_numbers(image):
-        raise ValueError(f"{words}; save it as grey to pick one, or give one of {WAYS}")
-    whole = [int(x) for x in labels if x > 0 and x == int(x)]
-    hints = [f"`mask_from` label={x} (--mask-from label={x}), or " for x in whole[:1]]
-    raise ValueError(f"{words}; say which is the object: {''.join(hints)}one of {WAYS}")
+    is_colour = labels.dtype == np.uint32
+    listed = _listed([f"#{x & 0xFFFFFF:06x}" for x in labels] if is_colour else labels)
+    hints = "save one of them as a mask; or"
+    if is_colour:
+        hints = "give `mask_from` alpha (--mask-from alpha) if all of them are the object; or"
+    elif is_pickable:
+        whole = [int(x) for x in labels if x > 0 and x == int(x)]
+        hints = "".join(f"`mask_from` label={x} (--mask-from label={x}), or" for x in whole[:1])
+    words = f"a label picture, it seems, with flat areas of the {kind} {listed}"
+    raise ValueError(f"{words}; say which is the object: {hints} one of {WAYS}")
 
 
-def _entries(image: Image, greys: np.ndarray) -> np.ndarray:
-    """Return the entries of a grey palette that have these values."""
-    palette = np.array(image.getpalette("RGB"))[::3]
-    return np.array([k for k in _values(image) if palette[k] in greys])
-
-
-def _listed(values: np.ndarray) -> str:
+def _listed(values: Any) -> str:
     """Return the first of some values, between commas."""
-    return ", ".join(f"{x:.9g}" for x in values[:12]) + (", ..." if len(values) > 12 else "")
-
-
-def _two_colours(image: Image) -> bool:
-    """True if a picture uses two entries of its palette, 0 (black) and 1 (a colour): a label's."""
-    if image.mode != "P" or max(image.getextrema()) != 1:
-        return False
-    colours = [*(image.getpalette() or ()), *6 * [0]][:6]
-    return max(colours[:3]) < DARK < max(colours[3:]) and bool(np.ptp(colours[3:]) > GREY)
-
-
-def _values(image: Image) -> np.ndarray:
-    """Return the values that a picture of one channel has."""
-    return np.unique(np.concatenate([np.unique(np.asarray(band)) for _, band in bands(image)]))
-
-
-def _labels(image: Image) -> str:
-    """Return the words that say how to read a picture of a few values."""
-    values = _values(image)
-    few = len(values) == 2 and values[0] == 0 and image.mode in ("L", "P")
-    hint = f"`mask_from` label={values[1]} (--mask-from label={values[1]}) if its object is that;"
-    return f"{hint} or one of {WAYS}" if few else f"labels? {WAYS}"
+    names = [x if isinstance(x, str) else f"{x:.9g}" for x in values[:12]]
+    return ", ".join(names) + ", ..." * (len(values) > 12)
 
 
 def _grey(band: Image) -> np.ndarray:
@@ -376,7 +280,7 @@ def _label(image: Image, number: int) -> MaskReading:
     if not _has_numbers(image):
         raise ValueError(f"a picture of mode {image.mode}: labels are grey values or a palette's")
     mask = by_bands(image, lambda band: np.where(np.asarray(band) == number, 255, 0))
-    values = _values(image)
+    values = np.unique(np.concatenate([np.unique(np.asarray(band)) for _, band in bands(image)]))
     if number not in values:
         raise ValueError(f"no pixel with the label {number}; there are {_listed(values)}")
     share = np.count_nonzero(mask) / mask.size
@@ -394,17 +298,18 @@ def _background(image: Image, name: str, tolerance: float | None) -> MaskReading
     pixels beside an edge are taken for mixtures.
     """
     from skimage.color import rgb2lab
+    from skimage.filters import threshold_otsu
 
     back = _colour(name)
-    origin = rgb2lab(back[None, None])
-    lab_distance = lambda band: np.linalg.norm(rgb2lab(_colours(band)) - origin, axis=-1)
-    distance = by_bands(image, lab_distance, dtype=np.float32)
+    off = lambda band: rgb2lab(np.asarray(band.convert("RGB"))) - rgb2lab(back[None, None] / 255)
+    distance = by_bands(image, lambda band: np.linalg.norm(off(band), axis=-1), dtype=np.float32)
     if np.ptp(distance) == 0:
         raise ValueError("a picture of one colour")
-    limit = _otsu(distance) if tolerance is None else tolerance
+    step = int(np.ceil(np.sqrt(distance.size / SAMPLE)))
+    limit = threshold_otsu(distance[::step, ::step]) if tolerance is None else tolerance
     inside = distance > limit
     del distance  # a large photo is as large as all else together
-    _drop_specks(inside)
+    drop_specks(inside, SPECK)
     share = np.count_nonzero(inside) / inside.size
     how = "Otsu's threshold" if tolerance is None else "as told"
     words = (
@@ -414,73 +319,25 @@ def _background(image: Image, name: str, tolerance: float | None) -> MaskReading
     return MaskReading(_with_soft_edges(inside, image, back), words)
 
 
-def _otsu(values: np.ndarray) -> float:
-    """Return Otsu's threshold of 256 equal steps, as scikit-image has it, without its copies."""
-    from skimage.filters import threshold_otsu
-
-    ends = float(np.min(values)), float(np.max(values))
-    edges = np.histogram_bin_edges([], 256, ends)
-    counts = sum(np.histogram(values[part], 256, ends)[0] for part in rows(*values.shape))
-    return float(threshold_otsu(hist=(counts, (edges[1:] + edges[:-1]) / 2)))
-
-
 def _with_soft_edges(inside: np.ndarray, image: Image, back: np.ndarray) -> np.ndarray:
     """Return a hard mask as uint8 with soft edges.
 
-    A pixel beside the edge is a mixture of the background and the object's nearest colour, in at
-    most `REACH_PX` rows above and below. Its coverage is its place between both, in the values as
-    stored.
+    A pixel beside the edge is a mixture of the background and the object's nearest colour. Its
+    coverage is its place between both, in the values as stored.
     """
-    from scipy import ndimage
-
-    H, W = inside.shape
-    result = np.where(inside, np.uint8(255), np.uint8(0))
-    step = max(REACH_PX, 8 * BAND // W)
-    for top in range(0, H, step):
-        first, last = max(0, top - REACH_PX), min(H, top + step + REACH_PX)
-        around = inside[max(0, first - BAND_PX) : last + BAND_PX]
-        cut = slice(min(first, BAND_PX), min(first, BAND_PX) + last - first)
-        deep: Any = ndimage.binary_erosion(around, iterations=BAND_PX, border_value=1)[cut]
-        near: Any = ndimage.binary_dilation(around, iterations=BAND_PX)[cut]
-        edge = near & ~deep
-        edge[: top - first] = edge[top + step - first :] = False
-        if not (np.any(edge) and np.any(deep)):
-            continue
-        place: Any = ndimage.distance_transform_edt(
-            ~deep, return_distances=False, return_indices=True
-        )
-        colours = np.asarray(image.crop((0, first, W, last)).convert("RGB"))
-        object_colour = colours[tuple(place[:, edge])] / 255 - back
-        size = np.maximum(np.sum(object_colour**2, axis=-1), 1e-6)
-        mixed = np.sum((colours[edge] / 255 - back) * object_colour, axis=-1) / size
-        result[first:last][edge] = np.round(255 * np.clip(mixed, 0, 1))
-    return result
+    deep, far = shrunk(inside, BAND_PX), shrunk(~inside, BAND_PX)
+    places = np.argwhere(~(deep | far))
+    pixels, _ = nearest(ring(deep, 0), places)
+    mask = np.where(inside, np.uint8(255), np.uint8(0))
+    if np.any(deep) and len(places):
+        whole, mixed = (colours_at(image, x) - back for x in (pixels, places))
+        size = np.maximum(np.sum(whole**2, axis=-1), 1e-2)
+        share = np.clip(np.sum(mixed * whole, axis=-1) / size, 0, 1)
+        mask[tuple(places.T)] = np.round(255 * share)
+    return mask
 
 
 def _colour(name: str) -> np.ndarray:
     from PIL import ImageColor
 
-    return np.array(ImageColor.getrgb(name)[:3]) / 255
-
-
-def _colours(band: Image) -> np.ndarray:
-    return np.asarray(band.convert("RGB")) / 255
-
-
-def _drop_specks(inside: np.ndarray) -> None:
-    """Drop parts, and then holes, that are noise, from a mask in place.
-
-    Raises ValueError where there are more parts than a photo's specks are.
-    """
-    for _ in range(2):
-        _drop_small_parts(inside)
-        np.logical_not(inside, out=inside)
-
-
-def _drop_small_parts(inside: np.ndarray) -> None:
-    labels, sizes = parts(inside)
-    if (count := len(sizes) - 1) > MOST_PARTS:
-        raise ValueError(f"a picture of {count} parts: noise, not before one colour")
-    keep = sizes >= SPECK * max(sizes.max(), 1)
-    for part in rows(*inside.shape):
-        inside[part] &= keep[labels[part]]
+    return np.array(ImageColor.getrgb(name)[:3])

@@ -51,46 +51,47 @@ def tidy_mask(mask: Input[ArrayLike, "H W"], speck: float = SPECK) -> TidyMask:
     inside = as_coverage(array) >= 0.5
     if np.all(inside) or not np.any(inside):
         return TidyMask(array, ("the mask covers " + ("all" if np.any(inside) else "nothing"),))
-
-    labels, sizes = parts(inside, CORNERS)
-    least = speck * np.max(sizes)
-    is_crumb = (sizes > 0) & (sizes < least)
-    body = inside & ~is_crumb[labels]
-
-    gaps, areas = parts(~body, CORNERS)
-    frame = np.concatenate([gaps[0], gaps[-1], gaps[:, 0], gaps[:, -1]])
-    is_pinhole = (areas > 0) & (areas < least)
-    is_pinhole[frame] = False
-    pinholes = is_pinhole[gaps]
-
+    body = inside.copy()
+    kept, *small = drop_specks(body, speck)
     result = array.copy()
-    result[_with_soft_edge(is_crumb[labels], body)] = 0
-    result[_with_soft_edge(pinholes, ~body & ~pinholes)] = 255 if array.dtype == np.uint8 else 1
+    result[_with_soft_edge(inside & ~body, body)] = 0
+    result[_with_soft_edge(body & ~inside, ~body)] = 255 if array.dtype == np.uint8 else 1
     notes = [
-        *_changed("island", sizes[is_crumb], "dropped"),
-        *_changed("hole", areas[is_pinhole], "filled"),
-        *_found(sizes[(sizes > 0) & ~is_crumb], body | pinholes),
+        f"{len(sizes)} {what}{'s'[: len(sizes) > 1]} of at most {sizes.max()} px {done}"
+        for sizes, what, done in zip(small, ("island", "hole"), ("dropped", "filled"), strict=True)
+        if len(sizes)
     ]
-    return TidyMask(result, tuple(notes))
+    return TidyMask(result, (*notes, *_oddities(kept, body)))
 
 
-def parts(
-    inside: np.ndarray, neighbours: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the number of each pixel's part (H, W), 0 outside, and the parts' sizes, 0 for 0.
+def drop_specks(inside: np.ndarray, speck: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Drop small islands from the pixels (H, W) of a mask and fill small holes, in place; return
+    the sizes (px) of the islands that stay, of those dropped, and of the holes filled."""
+    sizes, is_small = _drop_small(inside, lambda sizes: speck * sizes.max(initial=0), False)
+    least = speck * sizes.max(initial=0)
+    np.logical_not(inside, out=inside)
+    holes, is_pinhole = _drop_small(inside, lambda _: least, True)
+    np.logical_not(inside, out=inside)
+    return sizes[~is_small], sizes[is_small], holes[is_pinhole]
 
-    `neighbours` (3, 3): which pixels hang together (None: those that share a side).
-    """
+
+def _drop_small(inside: np.ndarray, least: Any, is_hole: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Drop parts smaller than `least` of their sizes, in place, but no hole that is open to the
+    border; return the sizes of all parts, and which were dropped."""
     from scipy import ndimage
 
-    found: Any = ndimage.label(inside, neighbours)
+    found: Any = ndimage.label(inside, CORNERS)
     labels, count = found
     sizes = np.zeros(count + 1, np.int64)
     for part in rows(*inside.shape):  # a large mask's numbers are eight times as large as it
         here = np.bincount(labels[part].ravel())
         sizes[: len(here)] += here
-    sizes[0] = 0
-    return labels, sizes
+    is_small = sizes < least(sizes[1:])
+    for side in (labels[0], labels[-1], labels[:, 0], labels[:, -1]) if is_hole else ():
+        is_small[side] = False
+    for part in rows(*inside.shape):
+        inside[part] &= ~is_small[labels[part]]
+    return sizes[1:], is_small[1:]
 
 
 def _with_soft_edge(taken: np.ndarray, others: np.ndarray) -> np.ndarray:
@@ -105,13 +106,7 @@ def _with_soft_edge(taken: np.ndarray, others: np.ndarray) -> np.ndarray:
     return taken | (near & ~apart)
 
 
-def _changed(what: str, sizes: np.ndarray, done: str) -> list[str]:
-    if not len(sizes):
-        return []
-    return [f"{len(sizes)} {what}{'s'[: len(sizes) > 1]} of at most {sizes.max()} px {done}"]
-
-
-def _found(sizes: np.ndarray, inside: np.ndarray) -> list[str]:
+def _oddities(sizes: np.ndarray, inside: np.ndarray) -> list[str]:
     """Return notes on a mask that fits accept, but that a user may not have meant."""
     notes = []
     if len(sizes) > 1:

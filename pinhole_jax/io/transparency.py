@@ -29,14 +29,9 @@ def opacity(image: Image) -> np.ndarray:
     """
     if not image.has_transparency_data:
         raise ValueError("no transparency")
-    return by_bands(image, opaque_pixels)
-
-
-def opaque_pixels(band: Image) -> np.ndarray:
-    """Return `opacity` of some rows."""
-    if band.mode.startswith("I"):  # Pillow compares 16 bits with it after it has made them 8
-        return np.where(np.asarray(band) == band.info["transparency"], np.uint8(0), np.uint8(255))
-    return np.asarray(band.convert("RGBA"))[..., 3]
+    if image.mode.startswith("I"):  # Pillow compares 16 bits with it after it has made them 8
+        return np.where(np.asarray(image) == image.info["transparency"], np.uint8(0), np.uint8(255))
+    return by_bands(image, lambda band: np.asarray(band.convert("RGBA"))[..., 3])
 
 
 def mask_with_colours(image: Image, opaque: np.ndarray) -> np.ndarray | None:
@@ -47,34 +42,23 @@ def mask_with_colours(image: Image, opaque: np.ndarray) -> np.ndarray | None:
 
     Raises ValueError where each may be the mask.
     """
-    from scipy.ndimage import binary_erosion
-
     shade = _shade(image, opaque)
-    if shade is None:
-        return _cut_out(image, opaque)
-    if _is_same(opaque, shade):
-        return None
-    deep: Any = binary_erosion(opaque > LIGHT, np.ones((3, 3)), EDGE_PX, border_value=1)
-    inner = shade[deep]
-    mixed = _count_between(inner) > FEW * inner.size
-    black = np.count_nonzero(inner < DARK) > FEW * inner.size
-    mask = np.minimum(opaque, shade)  # one of them is all or nothing
-    is_photo = _count_between(mask) > np.count_nonzero(mask > LIGHT)
-    if mixed and is_photo:
-        return _cut_out(image, opaque)
-    is_hard = _count_between(opaque) <= FEW * _count_between(mask)
-    is_key = bool(np.all((opaque > 0) == (shade > 0)))  # just the black is transparent
-    if is_hard and not mixed and not is_photo and (not black or is_key):
-        return mask
-    raise ValueError(
-        "transparency and colours that disagree; give `mask_from` alpha (--mask-from"
-        " alpha) or `mask_from` luminance (--mask-from luminance), whichever is the object"
-    )
-
-
-def _cut_out(image: Image, opaque: np.ndarray) -> None:
-    """Raise ValueError for an object of many colours that fade to a background of one colour, if
-    opacity is all or nothing: the soft edge is in the colours."""
+    if shade is not None:
+        if _is_same(opaque, shade):
+            return None
+        inner = shade[shrunk(opaque > LIGHT, EDGE_PX, np.ones((3, 3)))]
+        mask = np.minimum(opaque, shade)  # one of them is all or nothing
+        is_photo = _between(mask) > np.count_nonzero(mask > LIGHT)
+        is_mixed = _between(inner) > FEW * inner.size
+        is_black = np.count_nonzero(inner < DARK) > FEW * inner.size
+        is_hard = _between(opaque) <= FEW * _between(mask)
+        if is_hard and not (is_mixed or is_photo or is_black):
+            return mask
+        if not (is_mixed and is_photo):
+            raise ValueError(
+                "transparency and colours that disagree; give `mask_from` alpha (--mask-from"
+                " alpha) or `mask_from` luminance (--mask-from luminance), whichever is the object"
+            )
     if _fades(image, opaque):
         raise ValueError(
             "transparency that is all or nothing, and colours that hold a soft edge, too: the"
@@ -82,62 +66,63 @@ def _cut_out(image: Image, opaque: np.ndarray) -> None:
             " give `mask_from` alpha (--mask-from alpha) or `mask_from` luminance (--mask-from"
             " luminance), whichever is the object"
         )
+    return None
 
 
 def _fades(image: Image, opaque: np.ndarray) -> bool:
-    """Return True where colours go over into the background's within a hard edge's last pixels.
+    """Return True for an object of many colours that go over into the background's, of one colour,
+    within the last pixels of a hard edge.
 
     The pixels along the edge lie between both colours, some near each. Shading that goes on farther
     in, as a ball's, does not count, nor does a dark rim.
     """
     seen = opaque > 0
-    edge = seen & ~_shrunk(seen, 1)
-    count = np.count_nonzero(edge)
-    if not count or _count_between(opaque) > FEW * count:
+    edge = np.argwhere(ring(seen, 0))
+    if not len(edge) or _between(opaque) > FEW * len(edge):
         return False
-    places = np.argwhere(edge)[:: max(1, count // MOST_PLACES)]
-    rings = (_ring(seen, 4), _ring(seen, 6), _ring(~seen, 1))
-    nearest = [_nearest(ring, places) for ring in rings]
-    known = np.all([nearby for _, nearby in nearest], axis=0)
+    places = edge[:: max(1, len(edge) // MOST_PLACES)]
+    found = [nearest(ring(*where), places) for where in ((~seen, 1), (seen, 4), (seen, 6))]
+    known = np.all([distance < NEAR_PX for _, distance in found], axis=0)
     if np.count_nonzero(known) < max(16, len(places) // 2):
         return False
-    near, deep, outside = (_colours_at(image, points[known]) for points, _ in nearest)
+    outside, *inside = (
+        colours_at(image, points[known])
+        for points in (found[0][0], places, *(x for x, _ in found[1:]))
+    )
     back = np.median(outside, axis=0)
-    if np.mean(np.max(np.abs(outside - back), axis=1) > GREY) > FEW:
-        return False
-    at_edge = _colours_at(image, places[known])
-    at_edge, near, deep = (np.linalg.norm(x - back, axis=1) for x in (at_edge, near, deep))
-    if np.median(near) <= GREY or np.mean(near) < 0.9 * np.mean(deep):
+    off, at_edge, near, deep = (np.linalg.norm(x - back, axis=1) for x in (outside, *inside))
+    if np.mean(off > GREY) > FEW or np.median(near) <= GREY or np.mean(near) < 0.9 * np.mean(deep):
         return False
     low, middle, high = np.quantile(at_edge / np.maximum(near, 1), (0.25, 0.5, 0.9))
     return bool(low < 0.4 and middle < 0.65 and high > 0.2)
 
 
-def _shrunk(inside: np.ndarray, by: int) -> np.ndarray:
+def shrunk(inside: np.ndarray, by: int, neighbours: np.ndarray | None = None) -> np.ndarray:
+    """Return the pixels that are more than `by` (px) inside."""
     from scipy.ndimage import binary_erosion
 
-    return np.asarray(binary_erosion(inside, iterations=by, border_value=1))
+    deep: Any = binary_erosion(inside, neighbours, by, border_value=1) if by else inside
+    return deep
 
 
-def _ring(inside: np.ndarray, depth: int) -> np.ndarray:
+def ring(inside: np.ndarray, depth: int) -> np.ndarray:
     """Return the pixels that are this far (px) inside."""
-    shrunk = _shrunk(inside, depth)
-    return shrunk & ~_shrunk(shrunk, 1)
+    deep = shrunk(inside, depth)
+    return deep & ~shrunk(deep, 1)
 
 
-def _nearest(ring: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pixel of a ring nearest to each place (n, 2), and True where one is nearby."""
+def nearest(pixels: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pixel that is nearest to each place (n, 2), and its distance (px)."""
     from scipy.spatial import KDTree
 
-    points = np.argwhere(ring)
+    points = np.argwhere(pixels)
     if not len(points):
-        return places, np.zeros(len(places), bool)
-    distance, index = KDTree(points).query(places, distance_upper_bound=NEAR_PX)
-    nearby = np.isfinite(distance)
-    return points[np.where(nearby, index, 0)], nearby
+        return places, np.full(len(places), np.inf)
+    distance, index = KDTree(points).query(places)
+    return points[index], distance
 
 
-def _colours_at(image: Image, places: np.ndarray) -> np.ndarray:
+def colours_at(image: Image, places: np.ndarray) -> np.ndarray:
     """Return the colours (n, 3) of some pixels (n, 2)."""
     result = np.zeros((len(places), 3), np.float32)
     for part, band in bands(image):
@@ -153,9 +138,8 @@ def _shade(image: Image, opaque: np.ndarray) -> np.ndarray | None:
         return eight_bits(image)
     lightest = np.zeros(3)
     for part, band in bands(image):
-        colours = _colours(band)[opaque[part] > 0]
-        if len(colours):
-            lightest = max(lightest, colours[np.argmax(colours.sum(axis=1))], key=np.sum)
+        colours = _colours(band) * (opaque[part] > 0)[..., None]
+        lightest = max(lightest, colours.reshape(-1, 3)[np.argmax(colours.sum(-1))], key=np.sum)
     if not np.any(lightest):
         return np.full_like(opaque, 255)
     shade, other = np.empty_like(opaque), 0
@@ -181,12 +165,9 @@ def _is_same(opaque: np.ndarray, shade: np.ndarray) -> bool:
         soft += np.count_nonzero(seen)
         apart += np.count_nonzero(seen & (np.abs(a - s) > GREY))
         lost += np.sum(a * (255 - s)) / 255**2
-    if apart <= FEW * soft:
-        return True  # premultiplied, or the same picture twice
-    body = opaque > 127
-    edge = np.count_nonzero(body[1:] != body[:-1]) + np.count_nonzero(body[:, 1:] != body[:, :-1])
-    return bool(lost <= SAME_PX * max(edge, 1))
+    # Premultiplied, or the same picture twice; or hardly another outline.
+    return bool(apart <= FEW * soft or lost <= SAME_PX * np.count_nonzero(ring(opaque > 127, 0)))
 
 
-def _count_between(values: np.ndarray) -> int:
+def _between(values: np.ndarray) -> int:
     return int(np.count_nonzero((values >= DARK) & (values <= LIGHT)))
