@@ -1,7 +1,7 @@
 """`detect`: the convention of a camera of unknown origin is the one that explains a mask."""
 
 from collections.abc import Iterator
-from itertools import product
+from itertools import product, starmap
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +22,7 @@ from .pinhole import (
     camera_from_pinhole,
     focal_from_fov,
     pose_from_matrix,
+    read_matrix,
 )
 from .window import resized
 
@@ -35,16 +36,12 @@ AXES: dict[str, np.ndarray] = {
 LABELS = ("axes", "direction", "pixel_centres", "fov_axis")
 #: First look: the longer side, px; not worth a program of its own up to the second number.
 COARSE_PX, FULL_PX = 96, 320
-#: How many poses get a second look.
-KEPT = 6
+#: How many cameras get a second look.
+KEPT = 24
 #: A mask decides between two hypotheses where, of the pixels that differ, the target takes
 #: one's side in this share, and in more than chance would by this many standard deviations.
 SHARE = 0.6
 SIGMAS = 4.0
-
-
-#: Two of `LABELS`: what a reading of a pose, or of intrinsics, is called.
-Words = tuple[str, str]
 
 
 class Hypothesis(NamedTuple):
@@ -124,65 +121,57 @@ def detect(
     if not 0 < target.sum() < target.size:
         raise ValueError("`mask`: expected one that covers some pixels, got none or all")
     H, W = target.shape
-    views = _views(W, H, K, focal_px, fov)
-    poses = _promising(scene, target, [*_poses(pose)], views)
-    readings = [
-        Convention((*words, *more), view, place) for words, place in poses for more, view in views
-    ]
+    given = {"pose": pose, "K": K, "focal_px": focal_px, "fov": fov}
+    fields = Fields({name: x for name, x in given.items() if x is not None}, "the arguments")
+    readings: dict[tuple[float, ...], list[Reading]] = {}
+    for reading in starmap(Reading, product(_poses(fields), _views(fields, W, H))):
+        _, place = reading.pose
+        numbers = np.r_[np.ravel(place / np.max(np.abs(place))), reading.view[1]]
+        readings.setdefault(tuple(np.round(numbers, 6) + 0.0), []).append(reading)
     is_hard = bool(np.all((target == 0) | (target == 1)))
     ranked = []
-    for group in _alike(readings):
-        camera = _camera(*group[0][1:])
+    for group in _promising(scene, target, [*readings.values()]):
+        camera = _camera(group[0])
         image = np.asarray(silhouette(camera, scene, overlaps=False), float)
-        inside = image > 0.5
-        columns = zip(*(reading.words for reading in group), strict=True)
-        axes, direction, centres, fov_axis = (" or ".join(dict.fromkeys(c)) for c in columns)
-        iou = _iou(inside if is_hard else image, target)
-        ranked.append((Hypothesis(iou, axes, direction, centres, fov_axis, camera), inside))
+        words = zip(*((*reading.pose[0], *reading.view[0]) for reading in group), strict=True)
+        joined = (" or ".join(dict.fromkeys(column)) for column in words)
+        iou = _iou(image > 0.5 if is_hard else image, target)
+        ranked.append((Hypothesis(iou, *joined, camera), image > 0.5))
     ranked.sort(key=lambda pair: -pair[0].iou)
     return _verdict(ranked, target > 0.5)
 
 
-class Convention(NamedTuple):
-    """A reading of the numbers: its `words` (see `LABELS`), intrinsics, and a pose in OpenCV's
-    axes."""
+class Reading(NamedTuple):
+    """A reading of the numbers: axes and direction of the pose, which is world_from_camera in
+    OpenCV's axes; pixel centres and axis of the field of view, and the intrinsics."""
 
-    words: tuple[str, ...]
-    view: Pinhole
-    world_from_camera: Pose
+    pose: tuple[tuple[str, str], Pose]
+    view: tuple[tuple[str, str], Pinhole]
 
 
-def _views(
-    W: int, H: int, K: ArrayLike | None, focal_px: ArrayLike | None, fov: ArrayLike | None
-) -> list[tuple[Words, Pinhole]]:
-    """Return every reading of the intrinsics: pixel centres, axis of the field of view."""
-    given = {"K": K, "focal_px": focal_px, "fov": fov}
-    data = {name: value for name, value in given.items() if value is not None}
-    fields = Fields(data, "the arguments")
+def _views(fields: Fields, W: int, H: int) -> Iterator[tuple[tuple[str, str], Pinhole]]:
+    """Yield every reading of the intrinsics: pixel centres, axis of the field of view."""
+    data = [name for name in ("K", "focal_px", "fov") if name in fields]
     if len(data) != 1:
         raise ValueError(f"expected one of `K`, `focal_px`, `fov`, got {', '.join(data) or 'none'}")
-    matrix, focals = np.array([[1.0, 0, W / 2], [0, 1, H / 2], [0, 0, 1]]), {"": 1.0}
-    if "K" in data:
-        matrix = fields.array("K", (3, 3))
-        if np.any(matrix[2] != [0, 0, 1]) or min(matrix[0, 0], matrix[1, 1]) <= 0:
-            raise fields.wrong("K", "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]", matrix)
-    elif "focal_px" in data:
-        focals = {"": fields.positive("focal_px")}
-    else:
-        sides = {"vertical": H, "horizontal": W, "diagonal": float(np.hypot(W, H))}
-        angle = fields.angle("fov")
-        focals = {axis: focal_from_fov(angle, side) for axis, side in sides.items()}
-    (fx, _, cx), (_, fy, cy), _ = matrix
-    return [
-        ((centres, axis), Pinhole(fx * focal, fy * focal, cx + shift, cy + shift, W, H))
-        for axis, focal in focals.items()
-        for centres, shift in (("half", 0.0), ("integer", 0.5))
-    ]
+    for centres, half in (("half", 0.0), ("integer", 0.5)):
+        if "K" in fields:
+            yield (centres, ""), read_matrix(fields, "K", W, H, half)
+            continue
+        focals = (
+            {"": fields.positive("focal_px")}
+            if "focal_px" in fields
+            else {
+                axis: focal_from_fov(fields.angle("fov"), side)
+                for axis, side in (("vertical", H), ("horizontal", W), ("diagonal", np.hypot(W, H)))
+            }
+        )
+        for axis, focal in focals.items():
+            yield (centres, axis), Pinhole(focal, focal, W / 2 + half, H / 2 + half, W, H)
 
 
-def _poses(pose: ArrayLike) -> Iterator[tuple[Words, Pose]]:
+def _poses(fields: Fields) -> Iterator[tuple[tuple[str, str], Pose]]:
     """Yield every reading of the pose: axes, direction."""
-    fields = Fields({"pose": pose}, "the arguments")
     shape = fields.shape("pose")
     matrix = fields.array("pose", shape if shape == (3, 4) else (4, 4))
     if len(matrix) == 4 and np.any(matrix[3, :3]) and not np.any(matrix[:3, 3]):
@@ -196,20 +185,17 @@ def _poses(pose: ArrayLike) -> Iterator[tuple[Words, Pose]]:
         yield (axes, "world_from_camera" + words), transform @ frame
 
 
-def _camera(view: Pinhole, pose: Pose) -> Camera:
+def _camera(reading: Reading) -> Camera:
     """Return the camera with a lens, needed or not: then one compiled program serves all."""
-    where = Fields({}, "the arguments")
-    camera = camera_from_pinhole(view, pose, OPENCV, where)
+    (_, pose), (_, view) = reading
+    camera = camera_from_pinhole(view, pose, OPENCV, Fields({}, "the arguments"))
     return camera.replace(lens=camera.lens or Lens([camera.W / 2, camera.H / 2]))
 
 
 def _promising(
-    scene: Scene,
-    target: np.ndarray,
-    poses: list[tuple[Words, Pose]],
-    views: list[tuple[Words, Pinhole]],
-) -> list[tuple[Words, Pose]]:
-    """Return the poses that explain a small image of the target best, with any intrinsics."""
+    scene: Scene, target: np.ndarray, groups: list[list[Reading]]
+) -> Iterator[list[Reading]]:
+    """Yield the readings whose cameras explain a small image of the target best."""
     from PIL import Image
 
     H, W = target.shape
@@ -217,35 +203,14 @@ def _promising(
     size = max(1, round(W * factor)), max(1, round(H * factor))
     picture = Image.fromarray(target.astype(np.float32))
     small = np.asarray(picture.resize(size, Image.Resampling.BOX), float)
-
-    def agreement(view: Pinhole, pose: Pose) -> float:
-        camera = resized(_camera(view, pose), *size)
-        return _iou(np.asarray(silhouette(camera, scene, overlaps=False), float), small)
-
-    halves = [view for (centres, _), view in views if centres == "half"]  # too fine to see here
-    best = np.array([max(agreement(view, pose) for view in halves) for _, pose in poses])
-    order = np.argsort(best)[::-1][:KEPT]
-    return [poses[k] for k in order if best[k] >= 0.5 * best[order[0]]]
+    cameras = (resized(_camera(group[0]), *size) for group in groups)
+    ious = [_iou(silhouette(camera, scene, overlaps=False), small) for camera in cameras]
+    order = np.argsort(ious)[::-1][:KEPT]
+    return (groups[k] for k in order if ious[k] >= 0.5 * max(ious))
 
 
-def _iou(image: np.ndarray, target: np.ndarray) -> float:
+def _iou(image: ArrayLike, target: np.ndarray) -> float:
     return float(np.minimum(image, target).sum() / np.maximum(image, target).sum())
-
-
-def _alike(readings: list[Convention]) -> list[list[Convention]]:
-    """Return groups of readings: each group's make one camera."""
-    groups: list[list[Convention]] = []
-    scale = max(float(np.max(np.abs(reading.world_from_camera))) for reading in readings)
-    for reading in readings:
-        for group in groups:
-            _, view, place = group[0]
-            near = np.allclose(reading.world_from_camera, place, rtol=0, atol=1e-7 * scale)
-            if near and np.allclose(reading.view, view, rtol=0, atol=1e-6):
-                group.append(reading)
-                break
-        else:
-            groups.append([reading])
-    return groups
 
 
 def _verdict(ranked: list[tuple[Hypothesis, np.ndarray]], target: np.ndarray) -> Detection:

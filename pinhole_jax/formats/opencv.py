@@ -26,6 +26,7 @@ from .pinhole import (
     camera_from_pinhole,
     distortion_model,
     pose_from_matrix,
+    read_matrix,
     to_opencv,
 )
 from .unknown import unknown
@@ -130,14 +131,10 @@ def opencv_intrinsics(
 def _intrinsics(
     fields: Fields, size: Size | None, pixel_centres: str | None
 ) -> tuple[Pinhole, Distortion | None]:
-    K = fields.array("camera_matrix", (3, 3))
-    if np.any(K[2] != [0, 0, 1]) or K[1, 0] != 0 or abs(K[0, 1]) > 1e-9 * abs(K[0, 0]):
-        raise fields.wrong("camera_matrix", "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]", K)
     centres = fields.text("pixel_centres", ("integer", "half"), "integer")
     half = half_pixel(centres if pixel_centres is None else pixel_centres)
     W, H = fields.size("image_width", "image_height", size)
-    view = Pinhole(K[0, 0], K[1, 1], K[0, 2] + half, K[1, 2] + half, W, H)
-    return view, _distortion(fields)
+    return read_matrix(fields, "camera_matrix", W, H, half), _distortion(fields)
 
 
 def write_opencv(

@@ -133,6 +133,15 @@ def read_pose(fields: Fields, name: str) -> Pose:
     return pose_from_matrix(fields.array(name, (rows, 4)), fields, name)
 
 
+def read_matrix(fields: Fields, name: str, W: int, H: int, half: float) -> Pinhole:
+    """Return the intrinsics of a field's K (3, 3), whose pixel centres are at integers (`half` is
+    0.5) or at halves (0)."""
+    K = fields.array(name, (3, 3))
+    if np.any(K[2] != [0, 0, 1]) or K[1, 0] != 0 or abs(K[0, 1]) > 1e-9 * abs(K[0, 0]):
+        raise fields.wrong(name, "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]", K)
+    return Pinhole(K[0, 0], K[1, 1], K[0, 2] + half, K[1, 2] + half, W, H)
+
+
 def camera_from_pinhole(
     view: Pinhole,
     world_from_camera: Pose,
