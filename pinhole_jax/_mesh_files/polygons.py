@@ -1,9 +1,10 @@
 """Polygons of any number of corners, in any plane of space, cut into triangles.
 
 A fan from the first corner is right only where that corner sees all others. A polygon is therefore
-laid into the plane of its Newell normal, the sum of its fan's area vectors, and cut there: as a
-fan where that is right, else by manifold3d. Its triangles meet edge to edge, also at corners in
-line, so that a closed mesh stays closed. A triangle runs the way its polygon runs.
+projected along the axis that is nearest to its Newell normal, the sum of its fan's area vectors,
+and cut there: as a fan where that is right, else by manifold3d. Its triangles meet edge to edge,
+also at corners in line, so that a closed mesh stays closed. A triangle runs the way its polygon
+runs.
 
 The triangles' areas have to add up to the polygon's own, up to the rounding of 32 bits. Where they
 do not, the sides cross.
@@ -73,18 +74,20 @@ def triangulate(polygons: Polygons) -> Int[np.ndarray, "T 3"]:
     starts = np.cumsum(counts) - counts
     triangles, owners, left = [np.empty((0, 3), int)], [np.empty(0, int)], MOST_STEPS
 
-    for count in np.unique(counts[counts >= 3]):
+    for count in np.unique(counts[counts >= 3]).tolist():
         alike = np.flatnonzero(counts == count)
         shared = corners[starts[alike, None] + np.arange(count)]
-        local, right = _fans(points[shared])
-        left -= np.count_nonzero(~right) * int(count) ** 2
-        for k in np.flatnonzero(~right):
+        local = np.tile(_fan(count), (len(alike), 1, 1))
+        flat, rounding = _projected(points[shared])
+        wrong = np.flatnonzero(~_fans_are_right(flat)) if count > 3 else []
+        left -= len(wrong) * count**2
+        for k in wrong:
             if left < 0:
                 raise ValueError(
                     f"face {alike[k] + 1}: {count} corners, not all seen from the first; that many"
                     " take more than seconds to cut"
                 )
-            local[k] = _cut(points[shared[k]], int(alike[k]) + 1)
+            local[k] = _cut(flat[k], rounding[k], int(alike[k]) + 1)
         triangles.append(np.take_along_axis(shared[:, None], local, axis=2).reshape(-1, 3))
         owners.append(np.repeat(alike, count - 2))
 
@@ -107,75 +110,50 @@ def _without_joints(triangles: np.ndarray) -> np.ndarray:
     return triangles[np.all(triangles != np.roll(triangles, 1, axis=1), axis=1)]
 
 
-def _fans(space: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (m, n - 2, 3) fans of (m, n, 3) polygons from their first corners, and where these
-    are right (m,)."""
-    m, n = space.shape[:2]
-    fans = np.tile(_fan(n), (m, 1, 1))
-    if n == 3:
-        return fans, np.ones(m, bool)
-
-    flat, _ = _laid_flat(space)
-    return fans, _fans_are_right(flat)
-
-
 def _fan(n: int) -> np.ndarray:
     """Return the triangles (n - 2, 3) of n corners that all have the first."""
     return np.stack([np.zeros(n - 2, int), np.arange(1, n - 1), np.arange(2, n)], axis=-1)
 
 
-def _laid_flat(space: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (m, n, 2) corners in the planes of the Newell normals, counter-clockwise and of size
-    1. Also the largest rounding error of these corners, in machine epsilons.
+def _projected(space: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return (m, n, 2) corners from the first one on, counter-clockwise and of size 1, and the
+    largest rounding error of these, in machine epsilons; NaN for corners without a normal.
     """
     arms = space - space[:, :1]
     size = np.max(np.abs(arms), axis=(1, 2))
     size = np.where(size > 0, size, 1.0)
     arms = arms / size[:, None, None]
-
     areas = np.cross(arms[:, 1:-1], arms[:, 2:])
     normal = np.sum(areas, axis=1)
-    largest = np.argmax(np.sum(areas**2, axis=-1), axis=1)
-    widest = np.take_along_axis(areas, largest[:, None, None], axis=1)[:, 0]
-    # The two lobes of an evenly crossed polygon cancel: its plane is that of any of its triangles.
-    cancelled = np.linalg.norm(normal, axis=-1) <= 1e-12 * np.linalg.norm(widest, axis=-1)
-    normal = np.where(cancelled[:, None], widest, normal)
-
-    # An axis that is far from the normal, and the two directions that are perpendicular to both.
-    axis = np.eye(3)[np.argmin(np.abs(normal), axis=-1)]
-    x = _unit(np.cross(axis, normal))
-    y = np.cross(_unit(normal), x)
-    flat = arms @ np.stack([x, y], axis=-1)
-    return flat, 4 * np.max(np.abs(space), axis=(1, 2)) / size
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return vectors / np.where(length > 0, length, 1.0)
+    # The two lobes of an evenly crossed polygon cancel.
+    crossed = np.abs(normal).max(axis=1) <= 1e-12 * np.abs(areas).max(axis=(1, 2))
+    axis = np.argmax(np.abs(normal), axis=1)
+    others = (axis[:, None] + [1, 2]) % 3
+    down = np.take_along_axis(normal, axis[:, None], axis=1) < 0
+    flat = np.take_along_axis(arms, np.where(down, others[:, ::-1], others)[:, None], axis=2)
+    far = 4 * np.max(np.abs(space), axis=(1, 2)) / size
+    return flat, np.where(crossed & np.any(areas, axis=(1, 2)), np.nan, far)
 
 
 def _fans_are_right(flat: np.ndarray) -> np.ndarray:
     """Return True (m,) for fans from the first corners that turn one way, at most once around."""
-    arms = flat[:, 1:] - flat[:, :1]
-    cross = _cross(arms[:, :-1], arms[:, 1:])
-    dot = np.sum(arms[:, :-1] * arms[:, 1:], axis=-1)
-
+    cross = _cross(flat[:, 1:-1], flat[:, 2:])
+    dot = np.sum(flat[:, 1:-1] * flat[:, 2:], axis=-1)
     # Corners in line as seen from the first are no harm; a turn by half a circle is no fan's.
     ahead = (cross > 1e-15) | ((np.abs(cross) <= 1e-15) & (dot > 0))
     around = np.sum(np.arctan2(cross, dot), axis=-1)
     return np.all(ahead, axis=-1) & (around <= 2 * np.pi + 1e-9)
 
 
-def _cut(space: np.ndarray, number: int) -> np.ndarray:
-    """Return the triangles (n - 2, 3) of one polygon (n, 3) as corners 0 to n - 1."""
+def _cut(flat: np.ndarray, rounding: float, number: int) -> np.ndarray:
+    """Return the triangles (n - 2, 3) of one polygon (n, 2) as corners 0 to n - 1."""
     import manifold3d
 
-    (flat,), (rounding,) = _laid_flat(space[None])
     triangles = np.asarray(manifold3d.triangulate([flat]), int)
     own = np.sum(_areas(flat, _fan(len(flat))))
     excess = np.sum(np.abs(_areas(flat, triangles))) - own
     sides = np.sum(np.linalg.norm(flat - np.roll(flat, 1, axis=0), axis=-1))
-    if abs(excess) > (EXACT + rounding * np.finfo(np.float32).eps) * sides:
+    if not abs(excess) <= (EXACT + rounding * np.finfo(np.float32).eps) * sides:
         raise ValueError(f"face {number}: its sides cross, so that it has no inside")
     return triangles
 
