@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
 from PIL import Image
 from refusals import refusal
 
@@ -452,13 +451,6 @@ def test_webp_that_takes_too_much_memory_is_refused(tmp_path):
     path.write_bytes(data)
     with refusal("a WebP of more than 89478485 pixels"):
         io.load_image(path)
-
-
-def test_noise_is_no_mask(tmp_path):
-    noise = np.uint8(255 * (np.indices((1500, 1500)).sum(0) % 2))
-    Image.fromarray(noise).save(tmp_path / "n.png")
-    with refusal(r"expected a mask, .* a picture of \d+ parts: noise"):
-        io.load_mask(tmp_path / "n.png", "background=white")
 
 
 @pytest.mark.long

@@ -1,6 +1,6 @@
 """The fields of a file, taken out with checks that name the field, and the file it is in."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import zip_longest
 from typing import Any, TypeVar
 
@@ -142,11 +142,15 @@ class Fields:
         entries = enumerate(self.items(name))
         return [Fields(part, f"{self.where}, {name}[{k}]") for k, part in entries]
 
-    def part(self, name: str, expected: str = "fields with names") -> "Fields":
-        """Return an object within this one."""
+    def part(
+        self, name: str, expected: str = "fields with names", only: Iterable[str] = ()
+    ) -> "Fields":
+        """Return an object within this one, which has these fields only, if they are given."""
         value = self.get(name, expected)
         if not isinstance(value, Mapping):
             raise self.wrong(name, expected, short(value))
+        if others := sorted(value.keys() - {*only}) if only else ():
+            raise self.wrong(name, ", ".join(only), f"also {others}")
         return Fields(value, f"{self.where}, {name[:60]}")
 
     def size(self, width: str, height: str, size: Size | None) -> Size:

@@ -1,6 +1,7 @@
 """One door for all files: `read` and `write` guess the format by name and content."""
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -37,15 +38,11 @@ class Format(NamedTuple):
     sized: bool = True
 
 
-def _write_colmap_binary(folder: FilePath, cameras: Mapping[str, Camera]) -> None:
-    write_colmap(folder, cameras, binary=True)
-
-
 FORMATS = {
     "json": Format(read_json, write_json, sized=False),
     "opencv": Format(read_opencv, write_opencv, (".yml", ".yaml")),
     "colmap": Format(read_colmap, write_colmap, sized=False),
-    "colmap-binary": Format(read_colmap, _write_colmap_binary, sized=False),
+    "colmap-binary": Format(read_colmap, partial(write_colmap, binary=True), sized=False),
     "nerf": Format(read_nerf, write_nerf, word="transforms"),
     "blender": Format(read_blender, write_blender, word="blender"),
     "blender-script": Format(None, write_blender_script, (".py",)),
@@ -55,8 +52,21 @@ FORMATS = {
 }
 ENDINGS = {ending: name for name, format in FORMATS.items() for ending in format.endings}
 COLMAP_FILES = ("cameras.txt", "images.txt", "cameras.bin", "images.bin")
-#: Fields by which JSON is taken for the project's own.
-OWN = {"schema", "e", "p", "u", "phi", "phi_degrees", "lens", "W", "H"}
+#: By which schemas or fields of JSON a format is told; the first that are all there.
+SCHEMAS = {
+    BLENDER_SCHEMA: "blender",
+    PYTORCH3D_SCHEMA: "pytorch3d",
+    CAMERA_SCHEMA: "json",
+    CAMERAS_SCHEMA: "json",
+}
+FIELDS = {
+    "matrix_world": "blender",
+    "R T in_ndc": "pytorch3d",
+    "frames": "nerf",
+    "camera_matrix": "opencv",
+    "cameraMatrix": "opencv",
+    **dict.fromkeys(("schema", "e", "p", "u", "phi", "phi_degrees", "lens", "W", "H"), "json"),
+}
 
 
 def read(path: FilePath, format: str | None = None, *, size: Size | None = None) -> Cameras:
@@ -144,17 +154,11 @@ def _json_format(path: Path) -> str:
     """Return the format of a JSON file, by its fields."""
     data = load_json(path, KIND)
     names = {*data} if isinstance(data, dict) else set()
-    schema = data.get("schema") if names else None
-    if schema == BLENDER_SCHEMA or "matrix_world" in names:
-        return "blender"
-    if schema == PYTORCH3D_SCHEMA or {"R", "T", "in_ndc"} <= names:
-        return "pytorch3d"
-    if "frames" in names and schema not in (CAMERA_SCHEMA, CAMERAS_SCHEMA):
-        return "nerf"
-    if {"camera_matrix", "cameraMatrix"} & names:
-        return "opencv"
-    if names & OWN:
-        return "json"
+    if names and (format := SCHEMAS.get(str(data.get("schema")))):
+        return format
+    for fields, format in FIELDS.items():
+        if names.issuperset(fields.split()):
+            return format
     if not (isinstance(data, dict) or unknown(data)):
         raise ValueError(f"`path`: expected a JSON object, got {short(data)} in {str(path)!r}")
     known = ", ".join(name for name, format in FORMATS.items() if format.read)

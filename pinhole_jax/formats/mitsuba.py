@@ -32,14 +32,12 @@ from .pinhole import (
 )
 from .unknown import unknown
 
-AXES = ("x", "y", "diagonal", "smaller", "larger")
 FILM = {"width": 768, "height": 576}  # Mitsuba's own, where a film says nothing
 #: Characters that XML 1.0 cannot hold, escaped or not.
 NO_XML = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-#: A small file can stand for a large text: the most characters of a default's name and of its
-#: value, `$names` of an attribute, and characters that defaults add to a file.
-MOST_NAME, MOST_TEXT, MOST_DOLLARS, MOST_ADDED = 64, 1 << 16, 100, 1 << 20
-DOLLAR = re.compile(rf"\$[^$]{{0,{MOST_NAME}}}")
+#: A small file can stand for a large text: the most characters that defaults add to a file, and the
+#: most of a property's name.
+MOST_ADDED, MOST_NAME = 1 << 20, 64
 
 
 def read_mitsuba(path: FilePath, *, size: Size | None = None) -> Cameras:
@@ -127,35 +125,22 @@ def _cameras(root: ET.Element, size: Size | None, where: str) -> Iterator[tuple[
 
 
 def _fill(root: ET.Element, where: str) -> None:
-    """Replace `$names` in attributes by their defaults: the first of a name holds, as in
-    Mitsuba."""
+    """Replace `$names` in attributes by their defaults: the first of a name holds, and of the names
+    that fit the longest, as in Mitsuba."""
     defaults: dict[str, str] = {}
     added = 0
     inside = (element for sensor in root.iter("sensor") for element in sensor.iter())
     for element in (*root.iter("default"), *inside):
-        for name, text in element.items():
-            if text.count("$") > MOST_DOLLARS:
-                words = f"at most {MOST_DOLLARS} `$names`, got more (in {where})"
-                raise ValueError(f"`{name}`: expected {words}")
-            filled = DOLLAR.sub(lambda dollar: _filled(dollar[0], defaults), text)
-            element.set(name, filled)
-            added += len(filled) - len(text)
-            if added > MOST_ADDED:
-                words = f"values of at most {MOST_ADDED} characters together, got more"
-                raise ValueError(f"`default`: expected {words} (in {where})")
-        if element.tag == "default":
-            name, value = element.get("name", ""), element.get("value", "")
-            if not 0 < len(name) <= MOST_NAME or len(value) > MOST_TEXT:
-                words = f"a name of 1 to {MOST_NAME} characters, a value of at most {MOST_TEXT}"
-                raise ValueError(f"`default`: expected {words}, got {short(name)} (in {where})")
-            defaults.setdefault(name, value)
-
-
-def _filled(text: str, defaults: Mapping[str, str]) -> str:
-    """Return a `$name` and what follows it, with the default of the longest name that fits."""
-    names = (text[1:end] for end in range(len(text), 1, -1))
-    name = next((name for name in names if name in defaults), None)
-    return text if name is None else defaults[name] + text[1 + len(name) :]
+        for attribute, text in element.items():
+            for name in sorted(defaults, key=len, reverse=True) if "$" in text else ():
+                added += text.count(name) * len(defaults[name])
+                if added > MOST_ADDED:
+                    words = f"values of at most {MOST_ADDED} characters together, got more"
+                    raise ValueError(f"`default`: expected {words} (in {where})")
+                text = text.replace(name, defaults[name])
+            element.set(attribute, text)
+        if element.tag == "default" and element.get("name"):
+            defaults.setdefault(f"${element.get('name')}", element.get("value", ""))
 
 
 def _attributes(element: ET.Element, where: str) -> Fields:
@@ -222,40 +207,39 @@ def _focal(fields: Fields, W: int, H: int) -> float:
     if "focal_length" in fields:
         raise fields.wrong("fov", "it or focal_length", "both")
     fov = fields.number("fov", None, "an angle in (0, 180) degrees", 0, 180)
-    axis = AXES.index(fields.text("fov_axis", AXES, "x"))
-    sides = (W, H, diagonal, min(W, H), max(W, H))  # as in AXES
-    return focal_from_fov(float(np.deg2rad(fov)), sides[axis])
+    sides = {"x": W, "y": H, "diagonal": diagonal, "smaller": min(W, H), "larger": max(W, H)}
+    return focal_from_fov(np.deg2rad(fov), sides[fields.text("fov_axis", [*sides], "x")])
 
 
 def _step(kind: str, fields: Fields) -> Pose:
     """Return one operation of a transform as a (4, 4) matrix."""
     from scipy.spatial.transform import Rotation
 
-    turn, shift = np.eye(3), np.zeros(3)
-    if kind == "matrix" and fields.shape("value") != (9,):
-        return fields.array("value", (16,)).reshape(4, 4)
+    result = np.eye(4)
     if kind == "matrix":
-        turn = fields.array("value", (9,)).reshape(3, 3)
+        n = 3 if fields.shape("value") == (9,) else 4
+        result[:n, :n] = fields.array("value", (n * n,)).reshape(n, n)
     elif kind in ("lookat", "look_at"):
-        shift, target, up = (fields.array(name, (3,)) for name in ("origin", "target", "up"))
-        forward, left = target - shift, np.cross(up, target - shift)
+        origin, target, up = (fields.array(name, (3,)) for name in ("origin", "target", "up"))
+        forward, left = target - origin, np.cross(up, target - origin)
         if not np.any(forward) or np.linalg.norm(left) < 1e-12 * np.linalg.norm(forward):
             raise fields.wrong("up", "another direction than the view's", up)
-        forward, left = forward / np.linalg.norm(forward), left / np.linalg.norm(left)
-        turn = np.stack([left, np.cross(forward, left), forward], axis=1)
+        axes = np.stack([left, np.cross(forward, left), forward], axis=1)
+        result = rigid(axes / np.linalg.norm(axes, axis=0), origin)
     elif kind == "rotate":
         axis = _xyz(fields, 0)
         if not np.any(axis):
             raise fields.wrong("rotate", "an axis", "none")
         angle = np.deg2rad(fields.number("angle"))
-        turn = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)).as_matrix()
+        turn = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis))
+        result[:3, :3] = turn.as_matrix()
     elif kind == "translate":
-        shift = _xyz(fields, 0)
+        result[:3, 3] = _xyz(fields, 0)
     elif kind == "scale":
-        turn = np.diag(_xyz(fields, 1))
+        result[:3, :3] *= _xyz(fields, 1)
     else:
         raise fields.wrong("to_world", "matrix, lookat, rotate, translate or scale", repr(kind))
-    return rigid(turn, shift)
+    return result
 
 
 def _xyz(fields: Fields, default: int) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import fields as fields_of
 from typing import Any
 
 import equinox as eqx
@@ -116,15 +115,11 @@ def _check_pose(camera: Camera, pose: Fields) -> None:
     far = float(np.max(np.abs([view - eye, eye])))
     # As far as the camera's float type tells a direction from e to p.
     coarse = float(np.finfo(camera.e.dtype).eps) * far
-    axis = 1.0 + 4 * coarse / max(float(np.linalg.norm(view - eye)), 1e-300) / SAME
-    scales = (far, axis, axis, axis, float(np.max(own[4])), max(camera.W, camera.H))
+    same = SAME + 4 * coarse / max(float(np.linalg.norm(view - eye)), 1e-300)
+    scales = (far, 1, 1, 1, np.max(own[4]), max(camera.W, camera.H))
     for name, value, scale in zip(POSE, own, scales, strict=True):
-        if name not in pose:
-            continue
-        given = pose.array(name, (len(value),))
-        with np.errstate(over="ignore"):
-            same = np.all(np.abs(given - value) <= SAME * scale)
-        if not same:
+        given = pose.array(name, (len(value),)) if name in pose else value
+        if np.max(np.abs(given / scale - value / scale)) > same:
             got = f"{short(given)}; leave out what is not meant (`pose` may be left out)"
             raise pose.wrong("pose", f"{name} = {short(value)}, as e, p, u, phi and lens say", got)
 
@@ -143,18 +138,11 @@ def distortion_to_dict(distortion: Distortion) -> dict[str, Any]:
 
 def _lens(fields: Fields) -> Lens:
     """Return the lens of a camera's fields."""
-    lens = fields.part("lens")
-    if unknown := sorted(lens.data.keys() - {"principal_point", "aspect", "distortion"}):
-        raise fields.wrong("lens", "principal_point, aspect and distortion", f"also {unknown}")
-    distortion = None
+    lens, distortion = fields.part("lens", only=("principal_point", "aspect", "distortion")), None
     if lens.data.get("distortion") is not None:
-        part = lens.part("distortion")
-        model = MODELS[part.text("model", [*MODELS])]
-        names = {field.name for field in fields_of(model)}
-        if unknown := sorted(part.data.keys() - names - {"model"}):
-            known = f"coefficients of a {model.__name__} ({', '.join(names)})"
-            raise lens.wrong("distortion", known, f"also {unknown}")
-        distortion = model(**{name: part.data[name] for name in names & part.data.keys()})
+        model = MODELS[lens.part("distortion").text("model", [*MODELS])]
+        part = lens.part("distortion", only=("model", *model.powers))
+        distortion = model(**{name: part.data[name] for name in part.data if name != "model"})
     centre = lens.get("principal_point", "x and y, px")
     return Lens(centre, lens.data.get("aspect", 1.0), distortion)
 

@@ -99,23 +99,18 @@ def _camera(fields: Fields, size: Size | None) -> Camera:
     coefficients = {name: fields.number(name) for name in COEFFICIENTS if name in fields}
     distortion = distortion_model(coefficients, fields, (Fisheye if fisheye else BrownConrady,))
     W, H = fields.size("w", "h", size)
-    fx, fy = _focal(fields, "x", W), _focal(fields, "y", H)
-    if fx is None:
-        expected = "fl_x (px) or camera_angle_x (rad, horizontal)"
-        raise fields.wrong("fl_x", expected, "neither")
-    if fy is None or ("fl_x" in fields and "fl_y" not in fields):
-        fy = fx
+    if "fl_x" in fields:
+        fx = fields.positive("fl_x")
+        fy = fields.positive("fl_y", fx)
+    elif "camera_angle_x" in fields:
+        fx = fy = focal_from_fov(fields.angle("camera_angle_x"), W)
+        if "camera_angle_y" in fields:
+            fy = focal_from_fov(fields.angle("camera_angle_y"), H)
+    else:
+        raise fields.wrong("fl_x", "fl_x (px) or camera_angle_x (rad, horizontal)", "neither")
     centre = fields.number("cx", W / 2), fields.number("cy", H / 2)
     pose = read_pose(fields, "transform_matrix")
     return camera_from_pinhole(Pinhole(fx, fy, *centre, W, H), pose, OPENGL, fields, distortion)
-
-
-def _focal(fields: Fields, axis: str, length: int) -> float | None:
-    """Return the focal length along an axis, px; None if the file has none."""
-    if f"fl_{axis}" in fields:
-        return fields.positive(f"fl_{axis}")
-    angle = f"camera_angle_{axis}"
-    return focal_from_fov(fields.angle(angle), length) if angle in fields else None
 
 
 def _intrinsics(camera: Camera) -> dict[str, float | int]:

@@ -131,6 +131,7 @@ def opencv_intrinsics(
 def _intrinsics(
     fields: Fields, size: Size | None, pixel_centres: str | None
 ) -> tuple[Pinhole, Distortion | None]:
+    fields.get("camera_matrix", "K (3, 3)")
     centres = fields.text("pixel_centres", ("integer", "half"), "integer")
     half = half_pixel(centres if pixel_centres is None else pixel_centres)
     W, H = fields.size("image_width", "image_height", size)

@@ -6,8 +6,7 @@ from the image's top-left corner, y down, pixel centres at halves. In NDC the im
 spans [-1, 1], x to the left, y up, and lengths are halves of that side. `image_size` is (H, W).
 """
 
-from collections.abc import Iterator, Mapping
-from typing import Any
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from .pinhole import (
     LEFT_UP_FORWARD,
     Pinhole,
     camera_from_pinhole,
+    focal_from_fov,
     pinhole,
     pose_from_matrix,
     world_from_camera,
@@ -82,40 +82,41 @@ def from_pytorch3d(
     ```
     """
     given = {
-        "R": _without_batch(R, 2),
-        "T": _without_batch(T, 1),
-        "image_size": _without_batch(image_size, 1),
-        "focal_length": _without_batch(focal_length, 1),
-        "principal_point": _without_batch(principal_point, 1),
+        "R": R,
+        "T": T,
+        "image_size": image_size,
+        "focal_length": focal_length,
+        "principal_point": principal_point,
         "fov": fov,
         "aspect_ratio": aspect_ratio,
     }
     if (fov is None) == (focal_length is None):
         raise ValueError("expected `focal_length` or `fov`, got both or neither")
-    fields = {name: value for name, value in given.items() if value is not None}
-    return _camera(Fields(fields, "the arguments"), in_ndc)
+    batch = Fields({name: x for name, x in given.items() if x is not None}, "the arguments")
+    is_batch = lambda name: name in SHAPES and batch.shape(name) == (1, *SHAPES[name])
+    fields = {name: x[0] if is_batch(name) else x for name, x in batch.data.items()}
+    return _camera(Fields(fields, batch.where), in_ndc)
 
 
-def _camera(fields: Fields, in_ndc: bool) -> Camera:
-    H, W = fields.array("image_size", (2,))
-    whole = Fields({"H": H, "W": W}, f"{fields.where}, image_size")
-    H, W = whole.integer("H"), whole.integer("W")
+def _camera(fields: Fields, in_ndc: bool, size: Size | None = None) -> Camera:
+    pair = fields.array("image_size", (2,)) if "image_size" in fields else ()
+    film = Fields(dict(zip("HW", pair, strict=False)), f"{fields.where}, image_size")
+    W, H = film.size("W", "H", size)
     half = min(W, H) / 2
     if "fov" in fields:
-        fy = half / np.tan(fields.angle("fov") / 2)
+        fy = focal_from_fov(fields.angle("fov"), 2 * half)
         fx = fy / fields.positive("aspect_ratio")
     else:
-        pair = fields.shape("focal_length") == (2,)
-        focal = fields.array("focal_length", (2,) if pair else (), "one number or two")
+        shape = (2,) if fields.shape("focal_length") == (2,) else ()
+        focal = fields.array("focal_length", shape, "one number or two")
         fx, fy = np.broadcast_to(focal * (half if in_ndc else 1.0), 2)
     cx, cy = W / 2, H / 2
     if "principal_point" in fields:
         x, y = fields.array("principal_point", (2,))
         cx, cy = (cx - half * x, cy - half * y) if in_ndc else (x, y)
     pose = np.c_[fields.array("R", (3, 3)).T, fields.array("T", (3,))]
-    world_from_camera = inverse(pose_from_matrix(pose, fields, "R"))
-    view = Pinhole(float(fx), float(fy), float(cx), float(cy), W, H)
-    return camera_from_pinhole(view, world_from_camera, LEFT_UP_FORWARD, fields)
+    pose = inverse(pose_from_matrix(pose, fields, "R"))
+    return camera_from_pinhole(Pinhole(fx, fy, cx, cy, W, H), pose, LEFT_UP_FORWARD, fields)
 
 
 def read_pytorch3d(path: FilePath, *, size: Size | None = None) -> Cameras:
@@ -130,25 +131,15 @@ def read_pytorch3d(path: FilePath, *, size: Size | None = None) -> Cameras:
     ```
     """
     top = read_fields(path, KIND)
-    count = len(top.array("R", (-1, 3, 3)))
-    sizes = {} if size is None or "image_size" in top else {"image_size": [size[::-1]] * count}
-    top = Fields({**top.data, **sizes}, top.where)
-    names = map(str, range(count))
-    if "names" in top:
-        names = map(str, top.items("names", count, f"{count} names"))
-    return by_name(zip(names, _cameras(top, count, size), strict=True), top.where)
-
-
-def _cameras(top: Fields, count: int, size: Size | None) -> Iterator[Camera]:
-    """Yield the cameras of a file's arrays."""
-    in_ndc = top.flag("in_ndc")
-    arrays = [top.array(name, (count, *shape)) for name, shape in SHAPES.items()]
-    for k, values in enumerate(zip(*arrays, strict=True)):
-        fields = Fields(dict(zip(SHAPES, values, strict=True)), f"{top.where}, camera {k}")
-        if size is not None and tuple(fields.data["image_size"]) != size[::-1]:
-            words = f"(H, W) = ({size[1]}, {size[0]})"
-            raise fields.wrong("image_size", words, fields.data["image_size"])
-        yield _camera(fields, in_ndc)
+    count, in_ndc = len(top.array("R", (-1, 3, 3))), top.flag("in_ndc")
+    names = top.items("names", count, f"{count} names") if "names" in top else range(count)
+    shapes = {x: y for x, y in SHAPES.items() if x != "image_size" or size is None or x in top}
+    arrays = (top.array(name, (count, *shape)) for name, shape in shapes.items())
+    cameras = (
+        _camera(Fields(dict(zip(shapes, x, strict=True)), f"{top.where}, camera {k}"), in_ndc, size)
+        for k, x in enumerate(zip(*arrays, strict=True))
+    )
+    return by_name(zip(map(str, names), cameras, strict=True), top.where)
 
 
 def write_pytorch3d(path: FilePath, cameras: Mapping[str, Camera]) -> None:
@@ -162,12 +153,3 @@ def write_pytorch3d(path: FilePath, cameras: Mapping[str, Camera]) -> None:
     each = [to_pytorch3d(camera) for camera in cameras.values()]
     arrays = {name: np.concatenate([a[name] for a in each]).tolist() for name in each[0]}
     save_json(path, {"schema": SCHEMA, "in_ndc": False, "names": list(cameras), **arrays})
-
-
-def _without_batch(value: Any, axes: int) -> Any:
-    """Return an array without its batch axis of 1; anything else as it is, to be refused later."""
-    try:
-        array = np.asarray(value, float)
-    except (TypeError, ValueError):
-        return value
-    return array[0] if array.ndim == axes + 1 and len(array) == 1 else value

@@ -106,10 +106,6 @@ def load_fit(path: FilePath) -> Fit:
 
 
 def _rest(fit: Fit, pixel_centres: Any) -> dict[str, Any]:
-    history = [
-        {"camera": camera_to_dict(camera), "W": int(W), "H": int(H), "steps": int(steps)}
-        for camera, W, H, steps in fit.history
-    ]
     std = _plain(np.where(np.isfinite(fit.std), fit.std, np.nan))
     return {
         "schema": FIT_SCHEMA,
@@ -128,7 +124,9 @@ def _rest(fit: Fit, pixel_centres: Any) -> dict[str, Any]:
         "steps": [int(count) for count in fit.steps],
         "weak": list(fit.weak),
         "modes": [fit_to_dict(mode, pixel_centres=pixel_centres) for mode in fit.modes],
-        "history": history,
+        "history": [
+            {**step._asdict(), "camera": camera_to_dict(step.camera)} for step in fit.history
+        ],
     }
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import UInt8
 
+from .._files.fields import as_numbers
 from .._numerics.arrays import Input
 from .images import MOST_PIXELS
 
@@ -25,51 +26,30 @@ def mask_of_rle(rle: Input[Mapping[str, object], "size, counts"]) -> UInt8[np.nd
     ```
     """
     if not isinstance(rle, Mapping) or not {"size", "counts"} <= rle.keys():
-        raise ValueError(f"`rle`: expected run lengths with `size` and `counts`, got {_seen(rle)}")
-    size = _counts(rle["size"])
+        words = f"expected run lengths with `size` and `counts`, got {brief(rle)}"
+        hint = "give one of a list; pycocotools makes them of polygons (mask.frPyObjects)"
+        raise ValueError(f"`rle`: {words}; {hint}")
+    size, counts = _counts(rle["size"]), rle["counts"]
     if size is None or len(size) != 2 or not 0 < size[0] * size[1] <= MOST_PIXELS:
         raise ValueError(f"`rle`: expected `size` [H, W], got {brief(rle['size'])}")
-    H, W = size
-    counts: Any = rle["counts"]
+    H, W = map(int, size)
     if isinstance(counts, bytes):
         counts = counts.decode("latin-1")
-    counts = _counts_of_text(counts) if isinstance(counts, str) else counts
-    runs = _counts(counts)
+    runs = _counts(_counts_of_text(counts) if isinstance(counts, str) else counts)
     if runs is None:
         words = "expected `counts`, whole numbers of at least 0, or pycocotools' text or bytes"
         raise ValueError(f"`rle`: {words}, got {brief(counts)}")
-    if sum(runs) != H * W:
-        raise ValueError(f"`rle`: expected runs of {H * W} pixels, got {sum(runs)}")
+    if np.sum(runs) != H * W:
+        raise ValueError(f"`rle`: expected runs of {H * W} pixels, got {np.sum(runs):.0f}")
     values = np.arange(len(runs), dtype=np.uint8) % 2 * 255
-    return np.ascontiguousarray(np.repeat(values, runs).reshape(W, H).T)
+    return np.ascontiguousarray(np.repeat(values, runs.astype(int)).reshape(W, H).T)
 
 
-def _seen(rle: Any) -> str:
-    """Return the words for what is no run lengths, and what to do with it."""
-    if not isinstance(rle, list | tuple | np.ndarray) or getattr(rle, "ndim", 1) == 0:
-        return brief(rle)
-    if len(rle) == 0:
-        return "nothing in a list: no mask"
-    if isinstance(rle, np.ndarray) and rle.dtype in (bool, np.uint8) and rle.ndim > 1:
-        return f"an array of shape {rle.shape}: a mask already?"
-    if all(isinstance(part, Mapping) for part in rle):
-        return f"a list of {len(rle)} mask{'s' * (len(rle) > 1)}: give one of them, such as rle[0]"
-    if not all(
-        isinstance(part, list | tuple | np.ndarray | int | float | np.number) for part in rle
-    ):
-        return brief(rle)
-    words = "polygons; pycocotools makes run lengths of them"
-    return f"{words}: mask.merge(mask.frPyObjects(polygons, H, W)), each a list [x, y, x, y, ...]"
-
-
-def _counts(values: Any) -> list[int] | None:
-    """Return whole numbers of at least 0 as Python's, None for what is none."""
-    if isinstance(values, np.ndarray):
-        values = values.tolist()
-    if not isinstance(values, list | tuple):
-        return None
-    is_whole = lambda x: isinstance(x, int | np.integer) and not isinstance(x, bool) and x >= 0
-    return [int(x) for x in values] if all(map(is_whole, values)) else None
+def _counts(values: Any) -> np.ndarray | None:
+    """Return whole numbers of at least 0, None for what is none."""
+    numbers = as_numbers(values)
+    is_counts = numbers is not None and numbers.ndim == 1 and np.all(numbers >= 0)
+    return numbers if is_counts and not np.any(numbers % 1) else None
 
 
 def _counts_of_text(text: str) -> list[int]:
