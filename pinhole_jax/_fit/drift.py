@@ -76,8 +76,7 @@ def drift(fit: Fit, reference: Camera | Fit) -> Drift:
     - `reference`: a camera that is taken as exact, or a fit of other masks, whose covariance counts
       as well.
 
-    It tells a camera (or the object before it) that was pushed from one that stands still: a
-    calibration is checked by one more mask.
+    Was the camera, or the object before it, pushed? One more mask checks a calibration.
 
     Raises ValueError for other arguments, and for a fit whose pose was not free.
 

@@ -61,36 +61,35 @@ def fit_camera(
 
     - `target`: mask (H, W), row 0 on top: bool, uint8 (0..255) or float (0..1, soft edges welcome,
       noise about that range too).
-    - `camera`: where to start; also all that is not free. Starts some 20 degrees off are pulled in;
-      where what they lead to explains the mask badly, and for masks that people or networks drew,
-      the whole sphere of views is searched, and the start decides between equals. None:
-      search at once; then `phi` (rad) is the field of view, or if it is free a first guess (0.7),
-      and `lens` the principal point, aspect and distortion (None: centred, square pixels). Those
-      of a known K are `Camera.from_K(K, I, 0, W, H, ...)`'s.
+    - `camera`: where to start; also all that is not free. Starts some 20 degrees off are pulled in.
+      If they lead to a bad match, and for masks that people or networks drew, the fit searches the
+      whole sphere of views; the start decides between equals. None: search at once; then `phi`
+      (rad) is the field of view, or if it is free a first guess (0.7), and `lens` the principal
+      point, aspect and distortion (None: centred, square pixels). Those of a known K are
+      `Camera.from_K(K, I, 0, W, H, ...)`'s.
     - `free`: any of pose (or position, orientation: both are pose), phi, d, principal_point, aspect
       and of the lens's distortion k1, k2, p1, p2, k3 (of a fisheye k1 to k4), or `distortion` for
       all of them. Several stand in a tuple, or in a text with commas: "pose,phi".
-    - `weight`: (H, W), at least 0: how much each pixel counts, 0 where the mask is not to be
-      believed (an occluder). 1 / variance, up to a factor. An occluder that is not told is looked
-      for where the mask is not explained; `Fit.unbelieved` says what was taken for its edge.
+    - `weight`: (H, W), at least 0: how much each pixel counts (1 / variance, up to a factor), 0 at
+      an occluder. Without it, the fit looks for an occluder where model and mask disagree;
+      `Fit.unbelieved` has its edge.
     - `outlier_px`: how far, in px, an outline that is right may lie from the mask's edge (farther,
       where all of the edge wavers by more). Pixels farther away, at holes, missing and extra parts,
       lose their weight: at the end of a fit to a mask that is not exact, so that the rest decides.
       None: plain least squares.
-    - `prior`: what is known of free parameters beforehand, by the names of `Fit.names` (not of
-      rotations): mean and standard deviation, in their units. It is weighed against the mask by the
-      residuals that the mask leaves.
-    - `bounds`: between what phi, aspect or a coefficient of distortion is to stay, if free. One
-      that ends at a bound is no longer determined: the status is then "rank_deficient".
+    - `prior`: mean and standard deviation of free parameters, in their units, by the names of
+      `Fit.names` (not of rotations). The mask's weight against it follows from its residuals.
+    - `bounds`: (low, high) of a free phi, aspect or coefficient of distortion. A parameter that
+      ends at a bound is no longer determined: the status is then "rank_deficient".
     - `max_steps`: a limit for each level.
-    - `progress`: True shows a line on stderr that says what goes on, None does in notebooks; a
-      function is called with a `Progress` after each level, or with `record` after each step.
-    - `record`: `history` shall have each step (takes some more ms).
-    - `photo`: (H, W, 3), sRGB, uint8 or float (0..1), that the mask was taken from. What is found
-      for the mask is refined on it: colours beside the outline say what share of each pixel is the
-      object's. `Fit.weak` says last by how many px photo and mask disagree, and if the camera is
-      the mask's still: where colours tell too little, or where the mask's edge fits the scene
-      better than the photo's. `rms` and `iou` are the mask's in any case.
+    - `progress`: True shows a line on stderr, None only in notebooks; a function is called with a
+      `Progress` after each level, or with `record` after each step.
+    - `record`: keep each step in `history` (some ms more).
+    - `photo`: (H, W, 3), sRGB, uint8 or float (0..1), that the mask was made from. The fit refines
+      the mask's camera on it: colours beside the outline show the object's share of each pixel. The
+      last sentence of `Fit.weak` says by how many px photo and mask disagree, and whether the
+      camera is still the mask's: if colours show too little, or the mask's edge fits the scene
+      better. `rms` and `iou` are always the mask's.
 
     Levenberg-Marquardt (optimistix) minimises the weighted squared difference of exact coverage and
     target over the camera's pose and log focal length, on images from about 16 pixels across the
@@ -102,7 +101,7 @@ def fit_camera(
     Runs outside `jit` and `vmap`. The camera of the result is differentiable (once, forward and
     reverse) with respect to scene, target and weight, by the implicit function theorem.
 
-    Raises ValueError for arguments that make no fit; what the solver met is in `Fit.status`.
+    Raises ValueError for arguments that make no fit; the solver's troubles are in `Fit.status`.
 
     ```python
     fit = pj.fit_camera(scene, mask, start, free=("pose", "phi"))

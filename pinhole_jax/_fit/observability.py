@@ -29,7 +29,7 @@ class Observability(NamedTuple):
     - `rank`: how many directions of the `free` parameters change the mask at all, `of` how many.
     - `values` (n,): the Jacobian's singular values, largest first: root sum of squares of the
       change of coverage for a move of the outline by about one pixel.
-    - `weak`: the directions that change it little or not at all, as sentences.
+    - `weak`: sentences on the directions that change it little or not at all.
 
     ```python
     told.rank, told.std, told.weak

@@ -195,26 +195,26 @@ class Fit(CameraResult):
     - `names`: the fitted parameters, in the order of `covariance` (n, n) and `std` (n,):
       small rotations of the camera about its own axes b1, b2, v (rad), the eye (world units), phi
       (rad), d (world units), the principal point (px).
-    - `covariance` is what the mask's errors make of the camera, the mesh being without error.
-      Masks that people or networks made err together along stretches of their outline, and all
-      outwards or inwards: by how much, and how far, is read from the outline (`mask_error`), as is
-      how likely a mask has no such errors. Infinite where the mask does not determine a parameter,
-      and that of an interval where `weak` or a drawn mask's errors leave one. Never below what
-      rounding, the mask's quantisation and the solver's last step leave.
+    - `covariance` propagates the mask's errors; the mesh counts as exact. Masks that people or
+      networks made err together along stretches of their outline, and all outwards or inwards: the
+      outline shows by how much and how far (`mask_error`), and how likely it is that a mask has no
+      such errors. Infinite where the mask does not determine a parameter, and an interval's where
+      `weak` or a drawn mask's errors leave one. Never below what rounding, the mask's quantisation
+      and the solver's last step leave.
     - `independent_covariance` assumes independent pixel noise of one size (of variance 1 / weight
-      up to a factor), estimated from the residuals of the pixels that the outline touches. It is
-      the same where a mask is exact, and explained.
+      up to a factor), estimated from the residuals of the pixels that the outline touches. For an
+      exact mask that the model matches, both are equal.
     - `rms`: root mean square of coverage minus target over all pixels that count, but for the few
       where contours overlap in an exact mask; `iou` their intersection over union.
     - `steps`: Levenberg-Marquardt steps on each level, coarse to fine; more than one round of
       levels where the view outgrew its buffers on the way.
     - `weak`: directions that the mask determines badly or not at all, as sentences; last, if so,
       how much of the outline is far from the mask's edge.
-    - `mask_error`: how the mask's outline errs; None where it is exact, and explained.
-    - `unbelieved`: points (px, film coordinates) of the mask's edge that were taken for the edge of
-      something before the object, and left out; None where nothing was. `weak` says which share of
-      the mask's edge it is. `rms` and `iou` are of the whole mask all the same.
-    - `modes`: other cameras that were found to explain the mask as well, the best first.
+    - `mask_error`: how the mask's outline errs; None for an exact mask that the model matches.
+    - `unbelieved`: points (px, film coordinates) of the mask's edge that the fit ignored, as
+      something may be in front of the object; None if there are none. `weak` says which share of
+      the edge they are. `rms` and `iou` count the whole mask.
+    - `modes`: other cameras that fit the mask equally well, the best first.
     - `history`: the way to `camera`, from the start (0 steps) to the end of each level, or with
       `record` of each step.
 

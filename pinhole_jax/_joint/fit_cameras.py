@@ -47,12 +47,11 @@ def fit_cameras(
     - `max_steps`: a limit for each level, and for each descent from another place.
     - `progress`: as in `fit_camera`; a function is called with words after each level.
 
-    It is the joint fit (`fit_joint`) of one scene before cameras that stand apart. Each view is
-    asked what `fit_camera` asks, with the others' knowledge of shared parameters: are other places
-    as good (its `modes`, and the status "ambiguous") or better (then all descend from there), is a
-    move free over an interval (`weak`, "rank_deficient", and a covariance that says so)? As there,
-    a start rules out what is far from it, and where a mask is explained badly the whole sphere of
-    views is searched.
+    It is `fit_joint` of one scene before separate cameras. As `fit_camera` does, and with the
+    others' knowledge of shared parameters, it looks for places of each view that fit as well (its
+    `modes`, "ambiguous") or better (then all descend from there), and for moves that are free over
+    an interval (`weak`, "rank_deficient", a larger covariance). A start rules out what is far from
+    it; where a mask matches badly, the whole sphere of views is searched.
 
     The covariance of each fit is that of the joint problem: knowledge of all views is in it. The
     cost of a step grows linearly with the number of views.
@@ -61,7 +60,8 @@ def fit_cameras(
     reverse) with respect to scene, targets and weights, by the implicit function theorem, as views
     and pixels count in the end; where nothing is known beforehand.
 
-    Raises ValueError for arguments that make no fit; what the solver met is in each `Fit.status`.
+    Raises ValueError for arguments that make no fit; the solver's troubles are in each
+    `Fit.status`.
 
     ```python
     other = truth.replace(e=[4.2, 1.5, 2.5])

@@ -82,7 +82,8 @@ def fit_joint(
     mounts and places, by the implicit function theorem, as views and pixels count in the end; where
     nothing is known beforehand, and there are no photos.
 
-    Raises ValueError for arguments that make no fit; what the solver met is in `JointFit.status`.
+    Raises ValueError for arguments that make no fit; the solver's troubles are in
+    `JointFit.status`.
 
     ```python
     views = [pj.JointView(scene, mask)]

@@ -35,10 +35,10 @@ def joint_observability(
 ) -> Observability:
     """Directions of a joint fit's unknowns that masks can determine, and how well.
 
-    All is as in `fit_joint`, but for the masks: nobody looks at a view's `target` (None will do).
-    Cameras and objects are where they will be. `names` are those of the unknowns' owners and of the
-    parameters: "left e_x", "part x", "part scale"; `noise` is the standard deviation of coverage in
-    a pixel that the outline touches, independent (what views differ by comes to that).
+    Arguments are those of `fit_joint`, without masks: a view's `target` may be None. Give cameras
+    and objects the poses that they will have. `names` have owner and parameter: "left e_x", "part
+    x", "part scale"; `noise` is the standard deviation of coverage in a pixel that the outline
+    touches, independent (differences between views come on top).
 
     Raises ValueError for arguments that make no fit.
 

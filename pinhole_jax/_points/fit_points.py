@@ -129,8 +129,8 @@ def fit_points(
       called with words after each.
 
     Points of a plane are seen almost as well with their depths reversed, the farther away the
-    better, and three points have up to four exact poses: each view of a plane, and of up to 8
-    points, is asked whether its points tell such cameras apart (`PointFit.modes`).
+    better, and three points have up to four exact poses: for each view of a plane, or of up to 8
+    points, the fit tests whether its points rule such cameras out (`PointFit.modes`).
 
     Returns a `PointFit` for points2d (N, 2), a tuple of them for (V, N, 2). Levenberg-Marquardt as
     in `fit_cameras`: a step's cost is linear in the views. Works in the float type of `camera`.
@@ -140,7 +140,7 @@ def fit_points(
     reverse) with respect to points3d, points2d and weights, by the implicit function theorem, as
     points count in the end; where nothing is known beforehand.
 
-    Raises ValueError for arguments that make no fit; what the solver met is in each `status`.
+    Raises ValueError for arguments that make no fit; the solver's troubles are in each `status`.
 
     ```python
     points = scene.mesh.vertices[::50]

@@ -18,7 +18,7 @@ STIFF = 1e-2
 
 
 class Assembly:
-    """Rigid bodies, each a `Mesh`: `at` puts them in their places.
+    """Rigid bodies, each a `Mesh`: `scene_at` puts them in their places.
 
     Edges are found once, so that a posture costs no more than moving the vertices; scenes of all
     postures share their faces, and compiled programs.

@@ -22,12 +22,12 @@ def silhouette(camera: Camera, scene: Scene, overlaps: bool = True) -> Float[Arr
     projected triangles and spheres, whether meshes are closed or open, wind consistently or not,
     overlap, reach through the plane of the eye or surround it. An eye inside a closed mesh or a
     sphere sees everything covered. The cost follows the occluding contour; only pixels where
-    contours overlap pay for telling them apart. `overlaps=False` (static) says that no two parts of
-    the contour meet in a pixel, as in every view of one convex body: then that code is not even
-    compiled, and where it is not true arrays sum layers and clamp (the library does not). One
-    sphere alone needs no telling. No size of coordinates makes it anything but a number in [0, 1];
-    but which side of a face is seen is not known where its corners' distances from the eye differ
-    by more than 1 / epsilon of the float type.
+    contours overlap pay for that. `overlaps=False` (static) says that no two parts of the contour
+    meet in a pixel, as in every view of one convex body: that code is then not even compiled; if it
+    is not true, arrays sum layers and clamp (the library does not). One sphere alone needs no such
+    flag. Coverage is in [0, 1] for coordinates of any size; but the visible side of a face is
+    undefined if its corners' distances from the eye differ by more than 1 / epsilon of the float
+    type.
 
     The derivative, in forward and reverse mode, with respect to the camera, vertices, centers and
     radii is exact as well: the visible contour's normal velocity. Coverage is not differentiable

@@ -18,8 +18,8 @@ def load_image(path: str | os.PathLike[str], *, rgb: bool = False) -> np.ndarray
     """Return an image file as uint8: (H, W) if it is grey, else (H, W, 3) or (H, W, 4). With `rgb`
     it is always (H, W, 3): grey three times, and no transparency.
 
-    A photo that says that it was taken sideways (EXIF) is turned upright. Grey values of more than
-    8 bits are scaled so that the largest is 255; negative ones become 0.
+    A sideways photo (EXIF) is turned upright. Grey values of more than 8 bits are scaled so that
+    the largest is 255; negative ones become 0.
 
     Raises FileNotFoundError, or ValueError where the file is no readable PNG, JPEG, TIFF, WebP, BMP
     or PNM. Also for values that are not finite, and for more than some 179 million pixels (Pillow's
