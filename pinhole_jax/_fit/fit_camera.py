@@ -133,7 +133,9 @@ def fit_camera(
     inputs = (scene, target, weight)
     concrete = is_concrete(*jax.tree.leaves(inputs))
     with shown(progress, "fitting") as tell:
-        settings = Settings(outlier_px, max_steps, tell, *known, record, picture)
+        settings = Settings(
+            outlier_px, max_steps, tell, *known, record, picture, differentiable=not concrete
+        )
         if concrete:
             return run(inputs)[0]
         check_plain(prior=prior, bounds=bounds, photo=photo is not None)
@@ -205,17 +207,25 @@ class Settings(NamedTuple):
     bounds: Bounds | None = None
     record: bool = False
     photo: np.ndarray | None = None
+    differentiable: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class _Mode:
     """A camera that may be right: what was `found`, the sums `over_all` pixels, how the mask's
-    outline errs, and the account of its edge where the mask is not exact."""
+    outline errs, and where the mask is not exact the account of its edge and the end of `least`
+    squares."""
 
     found: Solution
     over_all: Sums
     errors: OutlineErrors | None
     account: Account | None = None
+    least: Solution | None = None
+
+    @property
+    def covariance(self) -> np.ndarray | None:
+        """Of a camera that is likelier than that of least squares, the covariance (n, n)."""
+        return None if self.account is None or self.least is self.found else self.account.covariance
 
 
 def _fit(
@@ -244,7 +254,8 @@ def _fit(
         free, near, edge = free_about(solver, ended[0], places), solver, None
     else:
         # 2. Refine each on the part of the mask's edge that it believes.
-        refiner = Refiner.on(solver, mask, reach)
+        known = settings.differentiable or settings.prior or settings.bounds
+        refiner = Refiner.on(solver, mask, reach, plainly=bool(known))
         alike = [places.best, *places.others]
         found = refiner.candidates([*alike, *places.rivals], start)
         best, *_ = kept = likeliest(found, min(len(alike), len(found)), start)
@@ -258,10 +269,12 @@ def _fit(
         # 4. Keep the modes.
         best, near, edge = kept[0], kept[0].near, refiner.edge
         if best.account is not None and np.any(best.account.gross) and turns_freely(freed):
-            free = settled(near, best.found).free  # of the part that is believed
+            free = settled(near, best.least).free  # of the part that is believed
         else:
-            free = free_about(solver, best.found, places)
-        modes = [_Mode(c.found, c.whole.sums, c.errors, c.account) for c in kept]
+            free = free_about(solver, best.least, places)
+        if best.least is not best.found:  # (Places along others are candidates, too.)
+            free = [f for f in free if np.isinf(f.ahead)]
+        modes = [_Mode(c.found, c.whole.sums, c.errors, c.account, c.least) for c in kept]
 
     # 5. Status, covariance, words.
     fit = _fit_of(solver, near, mask, modes, free, edge, start is None, settings)
@@ -321,7 +334,9 @@ def _fit_of(
         said = mode.account
         astray = None if said is None or edge is None else said.astray(edge)
         hidden = said is not None and bool(np.any(said.gross))
-        context = Context(kind, settings.bounds, about, mode.errors, astray=astray, hidden=hidden)
+        context = Context(
+            kind, settings.bounds, about, mode.errors, None, astray, hidden, mode.covariance
+        )
         return report(mask.camera, mode.found, mode.over_all, freed, context)
 
     known, said, note = free, None, None
@@ -329,7 +344,8 @@ def _fit_of(
         said, note = on_photo(solver, mask, photo, best.found)
     if said is None or len(modes) > 1:
         drawn = turns_freely(freed) and is_drawn(best.errors)
-        known = [*free, *interval(near, best.found, best.errors)] if drawn else free
+        if drawn and best.covariance is None:
+            known = [*free, *interval(near, best.found, best.errors)]
     fit, *others = (reported(mode, solver.kind, known) for mode in modes)
     if said is not None:
         open_still = [*(f for f in free if np.isinf(f.ahead)), *said.free]

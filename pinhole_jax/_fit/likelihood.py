@@ -27,6 +27,9 @@ class Account:
     - `gross` (n,): which points of the edge are not believed; `inside` (n,): which lie inside the
       outline, where something may hide the rest.
     - `missing`: which share of the outline has no edge beside it, and nothing hides it.
+    - `move` (n,): where the camera is likelier, in the solver's units; that is a `shift` of the
+      outline by as much as this (px).
+    - `covariance` (n, n): of the camera, in the solver's units.
     """
 
     log: float
@@ -35,6 +38,14 @@ class Account:
     gross: np.ndarray
     inside: np.ndarray
     missing: float
+    move: np.ndarray
+    shift: float
+    covariance: np.ndarray
+
+    @property
+    def is_drawn(self) -> bool:
+        """Whether the mask's edge errs by more than quantisation."""
+        return self.size > 0
 
     def unbelieved(self, edge: Edge) -> float:
         """The share of a mask's edge that is not believed."""
@@ -78,16 +89,29 @@ def account(
     limit = edge.size / 2
     offset = blocks.mean(np.clip(pairs.off, -limit, limit))
     found = _explained(edge, blocks, offset, blocks.mean(pairs.by_move), quantisation, roughly)
+    if found is None:
+        return None
     gross = found.gross[blocks.of]
     inside = (offset < 0)[blocks.of]
     away = edge.distance(outline.at)
-    alone = away > max(RULES.within * found.errors.size, RULES.beside)
+    alone = away > max(RULES.within * found.errors.size, RULES.beside) + abs(found.errors.bias)
     alone[alone] = ~_is_hidden(edge, gross & inside, outline.at[alone], away[alone])
     missing = float(np.mean(alone))
     px = missing * outline.length
     price = _price(px, min(px / 3, 1.0), edge.size, max(found.errors.size, 0.3))
     errors = found.errors
-    return Account(found.log - price, errors.size, errors.length, gross, inside, missing)
+    shift = float(np.max(np.abs(pairs.by_move @ errors.move)))
+    return Account(
+        log=found.log - price,
+        size=errors.size,
+        length=errors.length,
+        gross=gross,
+        inside=inside,
+        missing=missing,
+        move=errors.move,
+        shift=shift,
+        covariance=errors.covariance,
+    )
 
 
 def _is_hidden(edge: Edge, hides: np.ndarray, points: np.ndarray, away: np.ndarray) -> np.ndarray:
@@ -118,8 +142,8 @@ def _explained(
     by_move: np.ndarray,
     quantisation: float,
     roughly: bool,
-) -> _Segmentation:
-    """The likeliest runs of gross errors among offsets."""
+) -> _Segmentation | None:
+    """The likeliest runs of gross errors among offsets; None if nearly all are."""
     at, ends = blocks.mean(edge.at), float(np.log(len(blocks.length)))
 
     def weighed(gross: np.ndarray, roughly: bool) -> _Segmentation:
@@ -138,8 +162,11 @@ def _explained(
     fits = share * ((offset / size) ** 2 - 1) / 2
     numbers = blocks.length / (RULES.smooth * edge.size)
     runs = _cheapest(fits, numbers * price, ends + price[:, 0] / 2)
-    several = {x.tobytes(): x for x in (np.zeros(len(at), bool), *runs)}
-    some = [x for x in several.values() if np.mean(x) <= 1 - RULES.small]
+    several = {x.tobytes(): x for x in runs if np.mean(x) <= 1 - RULES.small}
+    if not several:
+        return None
+    none = np.zeros(len(at), bool)
+    some = list({none.tobytes(): none, **several}.values())
     if len(some) == 1 and not roughly:
         return weighed(some[0], False)
     likeliest = sorted((weighed(x, True) for x in some), key=lambda x: -x.log)

@@ -388,7 +388,7 @@ def _as_good(
     equal = others(seen)
     if exact and len(equal) < RULES.many:
         return Places(best, equal, [])
-    return Places(best, [], _intervals(solver, best, equal, directions))
+    return Places(best, [], _intervals(solver, best, equal, directions), tuple(equal))
 
 
 def transported(solver: Solver, found: Solution, direction: Any) -> Any:

@@ -1,5 +1,10 @@
 """Each camera proposed is refined on what its own account believes of the mask; one likelihood
-says which of them are kept, the likeliest first."""
+says which of them are kept, the likeliest first.
+
+Of pixels that err independently least squares make the likeliest camera. A drawn edge errs along
+whole stretches: there the likelihood's generalised least squares (Aitken 1936) on offsets of the
+edge go on from where those of pixels end.
+"""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -20,12 +25,18 @@ from .edge import Edge, edge_of, outline_seen
 from .likelihood import Account, account, believed
 
 
+#: Steps by generalised least squares at most, and which shift of the outline (px) is none.
+STEPS, STILL_PX = 8, 0.02
+
+
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A camera that may be right: what was `found` on the pixels that count, the `whole` view,
-    the account of the mask's edge, and the solver of the pixels that count."""
+    """A camera that may be right: what was `found`, the end of `least` squares on the pixels that
+    count (the same unless the edge is drawn), the `whole` view, the account of the mask's edge, and
+    the solver of the pixels that count."""
 
     found: Solution
+    least: Solution
     whole: View
     account: Account | None
     near: Solver
@@ -54,11 +65,12 @@ class Refiner:
     mask: Mask
     edge: Edge
     outlier_px: float
+    plainly: bool
 
     @classmethod
-    def on(cls, solver: Solver, mask: Mask, outlier_px: float) -> "Refiner":
-        """The refiner on a mask's edge."""
-        return cls(solver, mask, edge_of(mask), outlier_px)
+    def on(cls, solver: Solver, mask: Mask, outlier_px: float, plainly: bool) -> "Refiner":
+        """The refiner on a mask's edge; `plainly`: by least squares alone."""
+        return cls(solver, mask, edge_of(mask), outlier_px, plainly)
 
     def candidates(
         self, cameras: Iterable[Solution], start: Camera | None = None, best: float | None = None
@@ -105,11 +117,32 @@ class Refiner:
             if not near.look(camera, near.finest).squares >= found.view.squares:
                 found = onward(found, near.solve(camera, [near.finest], fine_px=px))
                 said = self.account(found.camera)
+        least = found
+        if said is not None and said.is_drawn and not self.plainly:
+            found, said = self._likelier(near, found, said)
+            if not said.is_drawn:  # what errs is less than it seemed from afar
+                least = found = onward(found, near.solve(found.camera, [near.finest], fine_px=px))
         wide = self.solver
         if np.any(gross):
             wide = self.solver.weighed(self._weights(RULES.times, gross))
         whole = self.solver.look(found.camera, self.solver.finest)
-        return Candidate(found, whole, said, near, wide)
+        return Candidate(found, least, whole, said, near, wide)
+
+    def _likelier(
+        self, near: Solver, least: Solution, said: Account
+    ) -> tuple[Solution, Account]:
+        """The end of generalised least squares, and its account: a likelier one, or those given."""
+        camera, now = least.camera, said
+        for _ in range(STEPS):
+            far = now.shift / (RULES.smooth * self.edge.size)
+            camera = near.step(camera, near.finest, now.move / max(far, 1.0))
+            after = self.account(camera)
+            if after is None or after.log < said.log - RULES.times**2 / 2:
+                return least, said
+            still, now = now.shift < STILL_PX, after
+            if still or not now.is_drawn:
+                break
+        return least._replace(camera=camera, view=near.look(camera, near.finest)), now
 
     def account(self, camera: Camera, roughly: bool = False) -> Account | None:
         """The account of the mask's edge by a camera."""

@@ -254,7 +254,8 @@ def progress_at(stop: Stop, camera: Camera) -> Progress:
 
 class Context(NamedTuple):
     """What is known beside a view: the mask's kind, bounds, the directions found to be free, how
-    the outline errs; a residual's variance if known better."""
+    the outline errs; a residual's variance if known better; of the likeliest camera, where that is
+    not the one of least squares, the `covariance` (n, n) by moves."""
 
     kind: Kind
     bounds: Bounds | None = None
@@ -263,6 +264,7 @@ class Context(NamedTuple):
     variance: float | None = None
     astray: float | None = None
     hidden: bool = False
+    covariance: np.ndarray | None = None
 
     def share_astray(self, near: Any, whole: Any) -> float:
         """The share of the outline that nothing explains: where nothing better is known, that which
@@ -290,11 +292,15 @@ def report(
         nan = float("nan")
         known = {"names": labels, "covariance": empty, "steps": steps}
         return Fit(camera=fitted, status="non_finite", rms=nan, iou=nan, **known)
-    rest = at_rest(triangle, along, sums.squares, sums.touched, dtype, found.ended)
+    still = at_rest(triangle, along, sums.squares, sums.touched, dtype, found.ended)
+    rest = still or context.covariance is not None
     triangle = without_free(triangle, context.free)
     noise = sums.touched_squares / max(sums.touched - n, 1)
     noise = max(noise if context.variance is None else context.variance, context.kind.least)
     both = gradients(view, noise, context)
+    if context.covariance is not None:
+        normal = triangle.T @ triangle
+        both = both[0], normal @ context.covariance @ normal
     independent, cov = (covariance(triangle, to_reported, g, BLIND[dtype]) for g in both)
     tolerance, drawn = LAST_STEP * FINE_PX[dtype] / UNIT_PX, is_drawn(context.errors)
     independent = independent + widened(to_reported, [] if drawn else context.free, tolerance)

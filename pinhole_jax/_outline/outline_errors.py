@@ -55,6 +55,9 @@ def is_drawn(errors: OutlineErrors | None) -> bool:
 
 class _Hypotheses(NamedTuple):
     log_likelihood: np.ndarray
+    move: np.ndarray
+    offset: np.ndarray
+    covariance: np.ndarray
     gradient: np.ndarray
     independent: np.ndarray
     size: np.ndarray
@@ -148,11 +151,16 @@ class Offsets(NamedTuple):
 
 
 class ErrorFit(NamedTuple):
-    """A likelihood's logarithm, and the errors' size and length at the likeliest hypothesis."""
+    """A likelihood's logarithm, and the likeliest hypothesis: the errors' size and length, by how
+    much all of the edge is off (`bias`), and the `move` (n,) by generalised least squares, damped
+    where it hardly shows. The `covariance` (n, n) of the camera is that of all hypotheses."""
 
     log: float
     size: float
     length: float
+    bias: float
+    move: np.ndarray
+    covariance: np.ndarray
 
 
 def weigh(offsets: Offsets, quantisation: float, roughly: bool = False) -> ErrorFit:
@@ -164,10 +172,17 @@ def weigh(offsets: Offsets, quantisation: float, roughly: bool = False) -> Error
     grid = (RULES.lengths[1:2], RULES.own[:1]) if roughly else (RULES.lengths, RULES.own)
     together = _hypotheses(model, *grid)
     logs = together.log_likelihood
-    likeliest = int(np.argmax(logs))
-    size, length = together.size[likeliest], together.length[likeliest]
     total: Any = logsumexp(logs)
-    return ErrorFit(float(total), float(size), float(length))
+    share, likeliest = np.exp(logs - total), int(np.argmax(logs))
+    apart = together.move - share @ together.move
+    return ErrorFit(
+        log=float(total),
+        size=float(together.size[likeliest]),
+        length=float(together.length[likeliest]),
+        bias=float(together.offset[likeliest]),
+        move=together.move[likeliest],
+        covariance=np.tensordot(share, together.covariance, axes=1) + (share * apart.T) @ apart,
+    )
 
 
 class _Model:
@@ -179,7 +194,8 @@ class _Model:
         self._distance = np.sqrt(np.sum(between**2, axis=-1))
         crowded = max(1.0, stretches.pixels / float(np.sum(stretches.length)) / STRAIGHT)
         self._quantisation = RULES.alike * quantisation * crowded / float(np.mean(stretches.length))
-        units = X / np.maximum(np.linalg.norm(X, axis=0), 1e-300)
+        self._scale = np.maximum(np.linalg.norm(X, axis=0), 1e-300)
+        units = X / self._scale
         self._columns = np.column_stack([units, np.ones(self.count), offset])
         self._pull = X.T * stretches.share
 
@@ -207,8 +223,13 @@ class _Model:
         inner, right, squares = products[:, :-1, :-1], products[:, :-1, -1], products[:, -1, -1]
         tight = np.maximum(bias, 1e-6)
         inner[:, -1, -1] += tight**-2
-        ridge = 1e-12 * (1 + np.trace(inner[:, :-1, :-1], axis1=1, axis2=2))
-        inner += ridge[:, None, None] * np.eye(inner.shape[1])
+        trace = np.trace(inner[:, :-1, :-1], axis1=1, axis2=2)[:, None, None]
+        eye = np.eye(inner.shape[1])
+        inner += 1e-12 * (1 + trace) * eye
+        damped = inner + RULES.weak**2 * trace / max(len(eye) - 1, 1) * eye
+        moved = np.linalg.solve(damped, right[..., None])[..., 0]
+        move, offset = moved[:, :-1] / self._scale, moved[:, -1]
+        covariance = np.linalg.inv(inner)[:, :-1, :-1] / np.outer(self._scale, self._scale)
         left = squares - np.sum(right * np.linalg.solve(inner, right[..., None])[..., 0], axis=1)
         logs = log_determinant[which.ravel()] + 2 * np.log(tight)
         logs += np.linalg.slogdet(inner)[1]
@@ -221,7 +242,8 @@ class _Model:
         alike = far**2 * np.sum(correlation**2) + (2 * far * near + near**2) * self.count
         independent = (self.count * (far + near)) ** 2 / alike
         lengths = np.full(size.shape, length)
-        return _Hypotheses(np.log(prior) - (logs + left) / 2, gradient, independent, size, lengths)
+        log = np.log(prior) - (logs + left) / 2
+        return _Hypotheses(log, move, offset, covariance, gradient, independent, size, lengths)
 
 
 def _whitened(
