@@ -25,8 +25,9 @@ from .edge import Edge, edge_of, outline_seen
 from .likelihood import Account, account, believed
 
 
-#: Steps by generalised least squares at most, and which shift of the outline (px) is none.
-STEPS, STILL_PX = 8, 0.02
+#: Steps by generalised least squares at most; which shift of the outline is none: in px, and by
+#: the size of the edge's errors.
+STEPS, STILL_PX, STILL = 8, 0.02, 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,17 +133,19 @@ class Refiner:
         self, near: Solver, least: Solution, said: Account
     ) -> tuple[Solution, Account]:
         """The end of generalised least squares, and its account: a likelier one, or those given."""
-        camera, now = least.camera, said
-        for _ in range(STEPS):
+        camera, now, still = least.camera, said, False
+        for _ in range(min(STEPS, near.max_steps)):
             far = now.shift / (RULES.smooth * self.edge.size)
             camera = near.step(camera, near.finest, now.move / max(far, 1.0))
             after = self.account(camera)
             if after is None or after.log < said.log - RULES.times**2 / 2:
                 return least, said
-            still, now = now.shift < STILL_PX, after
+            still = now.shift < max(STILL_PX, STILL * now.size)
+            now = after
             if still or not now.is_drawn:
                 break
-        return least._replace(camera=camera, view=near.look(camera, near.finest)), now
+        view = near.look(camera, near.finest)
+        return least._replace(camera=camera, view=view, ended=still), now
 
     def account(self, camera: Camera, roughly: bool = False) -> Account | None:
         """The account of the mask's edge by a camera."""

@@ -292,8 +292,8 @@ def report(
         nan = float("nan")
         known = {"names": labels, "covariance": empty, "steps": steps}
         return Fit(camera=fitted, status="non_finite", rms=nan, iou=nan, **known)
-    still = at_rest(triangle, along, sums.squares, sums.touched, dtype, found.ended)
-    rest = still or context.covariance is not None
+    rest = at_rest(triangle, along, sums.squares, sums.touched, dtype, found.ended)
+    rest = rest if context.covariance is None else found.ended
     triangle = without_free(triangle, context.free)
     noise = sums.touched_squares / max(sums.touched - n, 1)
     noise = max(noise if context.variance is None else context.variance, context.kind.least)
