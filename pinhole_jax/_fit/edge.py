@@ -167,8 +167,18 @@ def outline_seen(solver: Solver, camera: Camera, number: int) -> OutlinePoints |
     out = units(-around.slope)
     by_move = around.rows / np.maximum(around.steepness, 1e-3)[:, None]
     at = place[:, ::-1] + 0.5 + np.asarray(level.origin, float)
-    points = px * (at + out * (share - 0.5)[:, None])
+    points = px * (at + out * _beyond_centre(out, share)[:, None])
     return OutlinePoints(points, out, px * by_move, px * float(np.sum(around.steepness)), px)
+
+
+def _beyond_centre(out: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """How far (k,) beyond a pixel's centre a straight edge lies that covers a share (k,) of it, by
+    its normals (k, 2) outwards: it cuts off a corner, or two sides."""
+    less, more = np.sort(np.abs(out), axis=1).T
+    smaller = np.minimum(share, 1 - share)
+    corner = np.sqrt(2 * less * more * smaller) - (less + more) / 2
+    depth = np.where(smaller < less / (2 * more), corner, more * (smaller - 0.5))
+    return np.where(share < 0.5, depth, -depth)
 
 
 def matched(edge: Edge, outline: OutlinePoints) -> Pairs:

@@ -213,19 +213,14 @@ class Settings(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class _Mode:
     """A camera that may be right: what was `found`, the sums `over_all` pixels, how the mask's
-    outline errs, and where the mask is not exact the account of its edge and the end of `least`
-    squares."""
+    outline errs, where the mask is not exact the account of its edge, and where that is drawn the
+    camera's covariance (n, n) by moves."""
 
     found: Solution
     over_all: Sums
     errors: OutlineErrors | None
     account: Account | None = None
-    least: Solution | None = None
-
-    @property
-    def covariance(self) -> np.ndarray | None:
-        """Of a camera that is likelier than that of least squares, the covariance (n, n)."""
-        return None if self.account is None or self.least is self.found else self.account.covariance
+    covariance: np.ndarray | None = None
 
 
 def _fit(
@@ -269,12 +264,12 @@ def _fit(
         # 4. Keep the modes.
         best, near, edge = kept[0], kept[0].near, refiner.edge
         if best.account is not None and np.any(best.account.gross) and turns_freely(freed):
-            free = settled(near, best.least).free  # of the part that is believed
+            free = settled(near, best.found).free  # of the part that is believed
         else:
-            free = free_about(solver, best.least, places)
-        if best.least is not best.found:  # (Places along others are candidates, too.)
+            free = free_about(solver, best.found, places)
+        if best.covariance is not None:  # (Places along others are candidates, too.)
             free = [f for f in free if np.isinf(f.ahead)]
-        modes = [_Mode(c.found, c.whole.sums, c.errors, c.account, c.least) for c in kept]
+        modes = [_Mode(c.found, c.whole.sums, c.errors, c.account, c.covariance) for c in kept]
 
     # 5. Status, covariance, words.
     fit = _fit_of(solver, near, mask, modes, free, edge, start is None, settings)

@@ -43,6 +43,11 @@ class Account:
     covariance: np.ndarray
 
     @property
+    def far(self) -> float:
+        """How many standard errors the `move` is."""
+        return float(self.move @ np.linalg.pinv(self.covariance) @ self.move) ** 0.5
+
+    @property
     def is_drawn(self) -> bool:
         """Whether the mask's edge errs by more than quantisation."""
         return self.size > 0

@@ -13,35 +13,33 @@ import numpy as np
 
 from .._camera.axes import angle, distinct
 from .._camera.camera import Camera
-from .._mask.edges import NearWeights
 from .._mask.mask import Mask
 from .._outline.outline_errors import OutlineErrors, is_drawn
 from .._outline.statistics import mask_errors, quantisation
 from .._rules import RULES
 from .._solver.looks import View
-from .._solver.problem import COARSE_PX, FINE_PX
+from .._solver.problem import FINE_PX
 from .._solver.solver import Solution, Solver, onward
 from .edge import Edge, edge_of, outline_seen
 from .likelihood import Account, account, believed
 
 
-#: Steps by generalised least squares at most; which shift of the outline is none: in px, and by
-#: the size of the edge's errors.
-STEPS, STILL_PX, STILL = 8, 0.02, 0.05
+#: Steps by generalised least squares at most; a step of fewer standard errors is the last.
+STEPS, STILL = 12, 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A camera that may be right: what was `found`, the end of `least` squares on the pixels that
-    count (the same unless the edge is drawn), the `whole` view, the account of the mask's edge, and
-    the solver of the pixels that count."""
+    """A camera that may be right: what was `found` on the pixels that count, the `whole` view, the
+    account of the mask's edge, the solvers of the pixels that count and of more of them, and if the
+    edge is drawn, and generalised least squares led there, the covariance (n, n) by moves."""
 
     found: Solution
-    least: Solution
     whole: View
     account: Account | None
     near: Solver
     wide: Solver
+    covariance: np.ndarray | None = None
 
     @property
     def log(self) -> float:
@@ -91,70 +89,67 @@ class Refiner:
     def _refined(
         self, found: Solution, said: Account | None, start: Camera | None, least: float
     ) -> Candidate | None:
-        begin, gross = found.camera, np.zeros(len(self.edge.at), bool)
+        begin = found.camera
+        if said is None:  # the mask's edge tells nothing yet
+            found, said = self._least_squares(self._near(RULES.times), found)
+        # (The account allows for an error of the camera; for what is left to descend, too.)
+        elif said.log < least - RULES.hopeless:
+            return None
         if said is not None:
-            gross = said.gross
-            # (The account allows for an error of the camera; for what is left to descend, too.)
-            if said.log < least - RULES.hopeless:
+            found, said = self._likelier(found, said)
+            if said.log < least:
                 return None
-        alone = said is not None and not np.any(gross) and said.missing == 0
-        if not alone:
-            wide = self.solver.weighed(self._weights(RULES.times, gross), only_finest=True)
-            found = onward(found, wide.solve(found.camera, [wide.finest], fine_px=COARSE_PX))
-            said = self.account(found.camera, roughly=True)
-            if said is not None:
-                gross = said.gross
-                if said.log < least:
-                    return None
-        reach = 1.0 if said is None else RULES.within * said.size / self.outlier_px
-        near = self.solver.weighed(
-            self._weights(float(np.clip(reach, 1, RULES.times)), gross), only_finest=True
-        )
-        px = FINE_PX[near.dtype]
-        found = onward(found, near.solve(found.camera, [near.finest], fine_px=px))
-        said = self.account(found.camera)
-        # (A descent that began there, with these weights, does not end higher.)
-        for camera in [] if alone else [begin] if start is None else [begin, start]:
-            if not near.look(camera, near.finest).squares >= found.view.squares:
-                found = onward(found, near.solve(camera, [near.finest], fine_px=px))
-                said = self.account(found.camera)
-        least = found
+        near, covariance = self._near(1.0, said), None
         if said is not None and said.is_drawn and not self.plainly:
-            found, said = self._likelier(near, found, said)
-            if not said.is_drawn:  # what errs is less than it seemed from afar
-                least = found = onward(found, near.solve(found.camera, [near.finest], fine_px=px))
-        wide = self.solver
-        if np.any(gross):
-            wide = self.solver.weighed(self._weights(RULES.times, gross))
+            found = found._replace(view=near.look(found.camera, near.finest))
+            covariance = said.covariance
+        else:
+            found, said = self._least_squares(near, found)
+            for camera in [begin] if start is None else [begin, start]:
+                if not near.look(camera, near.finest).squares >= found.view.squares:
+                    found, said = self._least_squares(near, found._replace(camera=camera))
+        some = said is not None and np.any(said.gross)
+        wide = self._near(RULES.times, said) if some else self.solver
         whole = self.solver.look(found.camera, self.solver.finest)
-        return Candidate(found, least, whole, said, near, wide)
+        return Candidate(found, whole, said, near, wide, covariance)
 
-    def _likelier(
-        self, near: Solver, least: Solution, said: Account
-    ) -> tuple[Solution, Account]:
-        """The end of generalised least squares, and its account: a likelier one, or those given."""
-        camera, now, still = least.camera, said, False
-        for _ in range(min(STEPS, near.max_steps)):
-            far = now.shift / (RULES.smooth * self.edge.size)
-            camera = near.step(camera, near.finest, now.move / max(far, 1.0))
+    def _likelier(self, begin: Solution, said: Account) -> tuple[Solution, Account]:
+        """The end of generalised least squares, and its account; where that is unlikelier, those
+        given."""
+        camera, now, share, solver = begin.camera, said, 1.0, self.solver
+        for _ in range(min(STEPS, solver.max_steps)):
+            share = min(share, RULES.smooth * self.edge.size / max(now.shift, 1e-9))
+            camera = solver.step(camera, solver.finest, share * now.move)
             after = self.account(camera)
             if after is None or after.log < said.log - RULES.times**2 / 2:
-                return least, said
-            still = now.shift < max(STILL_PX, STILL * now.size)
+                return begin, said
+            if share * now.far < STILL:
+                return begin._replace(camera=camera, ended=True), after
+            share = share / 2 if after.far > now.far / 2 else min(2 * share, 1.0)
             now = after
-            if still or not now.is_drawn:
-                break
-        view = near.look(camera, near.finest)
-        return least._replace(camera=camera, view=view, ended=still), now
+        return begin._replace(camera=camera, ended=False), now
+
+    def _least_squares(self, near: Solver, begin: Solution) -> tuple[Solution, Account | None]:
+        """The end of least squares on pixels, and its account."""
+        px = FINE_PX[near.dtype]
+        found = onward(begin, near.solve(begin.camera, [near.finest], fine_px=px))
+        return found, self.account(found.camera)
+
+    def _near(self, reach: float, said: Account | None = None) -> Solver:
+        """The solver of the pixels near the mask's edge, as far as it is believed: within a reach
+        (in `outlier_px`), or farther if the edge errs by more."""
+        gross = np.zeros(len(self.edge.at), bool)
+        if said is not None:
+            gross = said.gross
+            reach = np.clip(RULES.within * said.size / self.outlier_px, reach, RULES.times)
+        weights = believed(self.mask.near_edge(float(reach) * self.outlier_px), self.edge, gross)
+        return self.solver.weighed(weights, only_finest=True)
 
     def account(self, camera: Camera, roughly: bool = False) -> Account | None:
         """The account of the mask's edge by a camera."""
         noise = quantisation(self.solver.kind.variance, self.mask.usual_weight)
         outline = outline_seen(self.solver, camera, self.solver.finest)
         return account(self.edge, outline, noise, roughly)
-
-    def _weights(self, reach: float, gross: np.ndarray) -> NearWeights:
-        return believed(self.mask.near_edge(reach * self.outlier_px), self.edge, gross)
 
     def is_hidden(self, candidate: Candidate) -> bool:
         """Whether something may stand before the object that a camera sees."""

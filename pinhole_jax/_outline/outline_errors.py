@@ -151,9 +151,10 @@ class Offsets(NamedTuple):
 
 
 class ErrorFit(NamedTuple):
-    """A likelihood's logarithm, and the likeliest hypothesis: the errors' size and length, by how
-    much all of the edge is off (`bias`), and the `move` (n,) by generalised least squares, damped
-    where it hardly shows. The `covariance` (n, n) of the camera is that of all hypotheses."""
+    """A likelihood's logarithm; the errors' size and length at the likeliest hypothesis, and by how
+    much all of the edge is off there (`bias`). Of all hypotheses, each as likely as it is: the
+    `move` (n,) by generalised least squares, damped where it hardly shows, and the camera's
+    `covariance` (n, n)."""
 
     log: float
     size: float
@@ -174,13 +175,14 @@ def weigh(offsets: Offsets, quantisation: float, roughly: bool = False) -> Error
     logs = together.log_likelihood
     total: Any = logsumexp(logs)
     share, likeliest = np.exp(logs - total), int(np.argmax(logs))
-    apart = together.move - share @ together.move
+    move = share @ together.move
+    apart = together.move - move
     return ErrorFit(
         log=float(total),
         size=float(together.size[likeliest]),
         length=float(together.length[likeliest]),
         bias=float(together.offset[likeliest]),
-        move=together.move[likeliest],
+        move=move,
         covariance=np.tensordot(share, together.covariance, axes=1) + (share * apart.T) @ apart,
     )
 
