@@ -23,7 +23,6 @@ from .._solver.solver import Solution, Solver, onward
 from .edge import Edge, edge_of, outline_seen
 from .likelihood import Account, account, believed
 
-
 #: Steps by generalised least squares at most; a step of fewer standard errors is the last.
 STEPS, STILL = 12, 0.1
 
