@@ -116,10 +116,13 @@ def drift(fit: Fit, reference: Camera | Fit) -> Drift:
 
 
 def other_places(
-    fit: Fit, modes: Sequence[Fit], free: Sequence[Float[np.ndarray, "3"]] = ()
+    fit: Fit,
+    modes: Sequence[Fit],
+    free: Sequence[Float[np.ndarray, "3"]] = (),
+    minima: bool = True,
 ) -> list[Fit]:
     """Return the modes that the mask's own noise tells from the fit, and from one another; where it
-    tells none of them from the fit, the farthest.
+    tells none of them from the fit, the farthest, if all are `minima` of the squares.
 
     What descents from several sides end at may be one place, told several times: within the fit's
     error bars, or but for a turn about an axis of the world that is `free`. Where the mask leaves a
@@ -135,7 +138,8 @@ def other_places(
         same = any(d.angle < SAME or (d.angle < limit and d.sigma < SAME_SIGMAS) for d in away)
         if not (same or any(_turned_about(k, mode, axis) for k in kept for axis in free)):
             kept.append(mode)
-    return kept[1:] or [max(modes, key=lambda mode: drift(fit, mode.camera).angle)]
+    farthest = [max(modes, key=lambda mode: drift(fit, mode.camera).angle)] if minima else []
+    return kept[1:] or farthest
 
 
 def _turned_about(a: Fit, b: Fit, axis: np.ndarray) -> bool:

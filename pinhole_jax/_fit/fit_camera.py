@@ -351,7 +351,7 @@ def _fit_of(
         alone = from_anywhere and best.account.unbelieved(edge) > RULES.small
         fit = with_unbelieved(fit, *best.account.words(edge, mask.camera.H), alone)
     turns = [f.axis for f in free if f.axis is not None and np.isinf(f.ahead)]
-    return with_modes(fit, other_places(fit, others, turns))
+    return with_modes(fit, other_places(fit, others, turns, minima=best.covariance is None))
 
 
 def anywhere(

@@ -24,7 +24,7 @@ from .edge import Edge, edge_of, outline_seen
 from .likelihood import Account, account, believed
 
 #: Steps by generalised least squares at most; a step of fewer standard errors is the last.
-STEPS, STILL = 12, 0.1
+STEPS, STILL = 16, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,9 +95,10 @@ class Refiner:
         elif said.log < least - RULES.hopeless:
             return None
         if said is not None:
-            found, said = self._likelier(found, said)
-            if said.log < least:
+            likelier = self._likelier(found, said, least)
+            if likelier is None:
                 return None
+            found, said = likelier
         near, covariance = self._near(1.0, said), None
         if said is not None and said.is_drawn and not self.plainly:
             found = found._replace(view=near.look(found.camera, near.finest))
@@ -112,9 +113,11 @@ class Refiner:
         whole = self.solver.look(found.camera, self.solver.finest)
         return Candidate(found, whole, said, near, wide, covariance)
 
-    def _likelier(self, begin: Solution, said: Account) -> tuple[Solution, Account]:
+    def _likelier(
+        self, begin: Solution, said: Account, least: float
+    ) -> tuple[Solution, Account] | None:
         """The end of generalised least squares, and its account; where that is unlikelier, those
-        given."""
+        given; None where it is less likely than `least`."""
         camera, now, share, solver = begin.camera, said, 1.0, self.solver
         for _ in range(min(STEPS, solver.max_steps)):
             share = min(share, RULES.smooth * self.edge.size / max(now.shift, 1e-9))
@@ -122,10 +125,12 @@ class Refiner:
             after = self.account(camera)
             if after is None or after.log < said.log - RULES.times**2 / 2:
                 return begin, said
+            if after.log < least:
+                return None
             if share * now.far < STILL:
                 return begin._replace(camera=camera, ended=True), after
-            share = share / 2 if after.far > now.far / 2 else min(2 * share, 1.0)
-            now = after
+            worse = after.far > (1 - share / 2) * now.far
+            share, now = share / 2 if worse else min(2 * share, 1.0), after
         return begin._replace(camera=camera, ended=False), now
 
     def _least_squares(self, near: Solver, begin: Solution) -> tuple[Solution, Account | None]:
