@@ -100,7 +100,7 @@ class Refiner:
                 return None
             found, said = likelier
         near, covariance = self._near(1.0, said), None
-        if said is not None and said.is_drawn and not self.plainly:
+        if said is not None and said.is_drawn and found.ended and not self.plainly:
             found = found._replace(view=near.look(found.camera, near.finest))
             covariance = said.covariance
         else:
@@ -116,22 +116,22 @@ class Refiner:
     def _likelier(
         self, begin: Solution, said: Account, least: float
     ) -> tuple[Solution, Account] | None:
-        """The end of generalised least squares, and its account; where that is unlikelier, those
-        given; None where it is less likely than `least`."""
+        """The end of generalised least squares, and its account; where they do not come to rest, or
+        at an unlikelier camera, those given, not `ended`; None below the logarithm `least`."""
         camera, now, share, solver = begin.camera, said, 1.0, self.solver
         for _ in range(min(STEPS, solver.max_steps)):
             share = min(share, RULES.smooth * self.edge.size / max(now.shift, 1e-9))
             camera = solver.step(camera, solver.finest, share * now.move)
             after = self.account(camera)
             if after is None or after.log < said.log - RULES.times**2 / 2:
-                return begin, said
+                break
             if after.log < least:
                 return None
             if share * now.far < STILL:
                 return begin._replace(camera=camera, ended=True), after
             worse = after.far > (1 - share / 2) * now.far
             share, now = share / 2 if worse else min(2 * share, 1.0), after
-        return begin._replace(camera=camera, ended=False), now
+        return begin._replace(ended=False), said
 
     def _least_squares(self, near: Solver, begin: Solution) -> tuple[Solution, Account | None]:
         """The end of least squares on pixels, and its account."""
