@@ -4,8 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from chosen import full
 from masks import outward, wavy
 from oracles import drawn, turned
+from results import degrees
 from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
@@ -180,6 +182,16 @@ def test_mask_that_shows_little_is_uncertain(scene):
     fit = pj.fit_camera(scene, wavy(shown, np.random.default_rng(0), 1.5, 8.0), single(small))
     assert fit.status in ("uncertain", "ambiguous")
     assert any("degrees (1 sigma)" in words for words in fit.weak)
+
+
+@pytest.mark.parametrize("px", [3.0, full(-2.0)])
+def test_mask_that_is_grown_all_round_does_not_turn_the_camera(scene, image, px):
+    """(The least squares of pixels are 3.5 and 2.4 degrees off.)"""
+    grown, start = outward(image) > -px, turned(single(CAMERA), [1, 2, 3], 5)
+    fit = pj.fit_camera(scene, grown, start)
+    assert fit.status == "converged"
+    assert degrees(fit, single(CAMERA)) < min(0.5, 3 * np.rad2deg(np.linalg.norm(fit.std[:3])))
+    assert degrees(pj.fit_camera(scene, grown, start, outlier_px=None), single(CAMERA)) > 1
 
 
 def test_levels_that_are_off_are_taken_for_0_and_1(image):
