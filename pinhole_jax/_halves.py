@@ -313,8 +313,8 @@ def _part(name: str, a: _HalfAnswer, b: _HalfAnswer) -> SplitPart:
 
 
 def _known_best(answer: _HalfAnswer) -> np.ndarray:
-    """The point (3,) that moves with a pose whose place is known best; its origin where the
-    pose is not determined."""
+    """The point (3,) of the body whose place is known best; its origin where the pose is not
+    determined."""
     part = answer.covariance[:6, :6]
     if answer.pose is None or not np.all(np.isfinite(part)):
         return np.zeros(3)
@@ -327,7 +327,7 @@ def _known_best(answer: _HalfAnswer) -> np.ndarray:
 
 
 def _about(answer: _HalfAnswer, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The place (3,) of a point that moves with a pose, and the covariance with that place."""
+    """The place (3,) of a point of the body, and the answer's covariance with it as the origin."""
     assert answer.pose is not None
     arm = answer.pose[:3, :3] @ point
     by_origin = np.eye(len(answer.names))

@@ -335,6 +335,7 @@ def _undistorted(model: RadialTangential, x: Array, y: Array) -> tuple[Array, Ar
 
 @_undistorted.defjvp
 def _undistorted_rate(primals: Any, tangents: Any):
+    """The inverse's derivative, by the implicit function theorem."""
     model, x, y = primals
     ideal = _undistorted(model, x, y)
     _, by_x, by_y = _linearised(model, model.trusted_radius(), *ideal)

@@ -62,6 +62,7 @@ def _check_reach(robot: Robot, name: str, value: float, where: str) -> None:
 
 
 def _table(path: str) -> JointTable:
+    """The joints' names, angles and unit in a CSV or JSON file."""
     data: dict[str, Any] = {}
     if path.lower().endswith(".json"):
         content = load_json(path)

@@ -58,7 +58,8 @@ def best_postures(factors: Sequence[float]) -> str:
 def _information(
     camera: Camera, scene: Scene, mount: Pose | None, free: Sequence[str], names: Sequence[str]
 ) -> Float[np.ndarray, "n n"]:
-    """Return a mask's information about the camera in its own frame: the world's or its link's."""
+    """Return a mask's information (inverse covariance) about a camera whose pose is in the frame of
+    its link (`mount`), or in the world."""
     if mount is None:
         return information(camera, scene, free)
     known = information(at_pose(camera, mount @ pose_of(camera)), scene, free)

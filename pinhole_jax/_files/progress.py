@@ -71,7 +71,8 @@ def _is_notebook() -> bool:
 
 @cache
 def _compiled() -> list[float]:
-    """Return the seconds and the number of programs that are compiled from now on, which grow."""
+    """Return a running total, which JAX keeps up to date: seconds of compiling, and programs
+    compiled."""
     import jax.monitoring
 
     total = [0.0, 0.0]

@@ -64,7 +64,7 @@ class Edge:
         return replace(self.where(np.s_[::every]), step=every * self.step[::every])
 
     def where(self, chosen: Any) -> "Edge":
-        """Some of the points."""
+        """The edge with these points alone: a mask or indices."""
         return replace(
             self,
             at=self.at[chosen],

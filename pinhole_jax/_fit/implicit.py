@@ -266,7 +266,8 @@ class End(NamedTuple):
     step: float | None
 
     def slope(self, columns: np.ndarray, counts: float, weight: Any, velocity: Any) -> Slope:
-        """The slope of the view's squares, which count this much, by unknowns at some columns.
+        """How the fit's squares bend with the unknowns at `columns`, and how the data pull at them;
+        both times `counts`, the view's weight.
 
         `weight` is the user's; `velocity` that of target, weight and `Arrangement`, None for
         those that do not change.
@@ -307,7 +308,7 @@ def _slopes(end: End, places: Any) -> Array:
 def _pull(
     end: End, places: Any, of_target: Any, share: Any, of_weight: Any, moving: Arrangement
 ) -> Array:
-    """The gradient's rate of change (n,) while the camera stays: linear in the velocities."""
+    """The rate at which the data's velocities change the gradient (n,) while the camera stays."""
     dtype, toward, changes = end.weight.dtype, jnp.zeros_like(end.difference), None
     if jax.tree.leaves(moving):
         is_moving = jax.tree.map(lambda x: x is not None, moving, is_leaf=lambda x: x is None)

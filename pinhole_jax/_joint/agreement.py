@@ -131,6 +131,7 @@ class Agreement:
 
     @cached_property
     def _by_masks(self) -> "_Sandwich":
+        """The covariance as the masks' own errors, widened, make it."""
         views = zip(self.descent.seen, self.gradients, self.problem.weights, strict=True)
         errors = [
             _Error(self.problem.columns(k), weight * seen.moves.T, self.wider * gradient)

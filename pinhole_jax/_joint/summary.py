@@ -221,7 +221,7 @@ def _is_compared(end: Outcome, k: int) -> bool:
 
 
 def _is_explained(found: Agreement, k: int) -> bool:
-    """Whether a view's mask is not exact, explained, or counts for nothing."""
+    """True unless a view counts, its mask is exact, and the model does not match it."""
     kind, view = found.problem.eyes[k].solver.kind, found.descent.seen[k].view
     explained = not kind.exact or kind.explains(view.touched_misfit, False)
     return bool(explained or found.problem.weights[k] < COUNTS)

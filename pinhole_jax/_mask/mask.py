@@ -94,8 +94,8 @@ class Mask:
         return self.weight if most == 1 else self.weight / most
 
     def _straightened(self) -> tuple[np.ndarray, ...]:
-        """Return mask and weight without distortion; their lower left corner (px), and their pixels
-        for one of now."""
+        """Return mask and weight (H, W) resampled without distortion, their lower left corner (px),
+        and how many of their pixels are one of the film's (x, y)."""
         from scipy.ndimage import map_coordinates
 
         H, W = self.image.shape

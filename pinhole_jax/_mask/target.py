@@ -53,7 +53,7 @@ def check_image(name: str, image: Any, W: int, H: int) -> np.ndarray:
 
 
 def _with_range(name: str, image: Any, W: int, H: int) -> tuple[np.ndarray, tuple[Any, Any]]:
-    """Return the image, and its least and largest value: each pass over a large one counts."""
+    """Return the checked image with its least and largest value, which callers need, too."""
     array = np.asarray(image)
     expected = f"shape (H, W) = ({H}, {W})"
     if array.ndim != 2:

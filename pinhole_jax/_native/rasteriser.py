@@ -57,7 +57,7 @@ def model_of(lens: Bend | Lens | None) -> int:
 
 
 def variables_of(film: FilmMap, scene: Scene) -> Variables:
-    """The variables of a view."""
+    """The numbers of a view that its image can be differentiated by."""
     real, mesh, spheres = film.eye.dtype, scene.mesh, scene.spheres
     numbers = [film.eye, film.view, film.matrix.reshape(-1), film.base]
     return Variables(
@@ -148,7 +148,7 @@ def _with_edges(model: int, shape: tuple[int, int], given: list[Array]) -> list[
 def _image(
     of: tuple[int, tuple[int, int]], variables: Variables, constants: Constants
 ) -> Float[Array, "H W"]:
-    """The image by a model of a lens, of a shape."""
+    """The coverage (H, W); `of` is the lens's model and the image's shape."""
     return _with_edges(*of, operands(variables, constants))[0]
 
 

@@ -40,7 +40,7 @@ def is_real(array: Any) -> bool:
 
 
 def as_array(value: Any) -> Any:
-    """Return numbers as an array: of JAX's as it is, others as NumPy's.
+    """Return numbers as an array: JAX's stay, others become NumPy's.
 
     (JAX would compile a copy of each shape.)
     """
@@ -83,7 +83,7 @@ def float_array(name: str, value: Any, shape: tuple[int | None, ...], dtype: np.
 
 
 def checked(name: str, value: Any, shape: tuple[int | None, ...], dtype: np.dtype) -> Any:
-    """Return the value, checked as in `float_array`: of JAX's as it is, others as NumPy's.
+    """Return the value as an array, checked as in `float_array`: JAX's stay, others become NumPy's.
 
     NumPy's have this type: also float64, which JAX may not know.
     """

@@ -258,10 +258,10 @@ def _checked(points3d: ArrayLike, points2d: ArrayLike, weights: ArrayLike | None
     return PointArrays(points, seen_at, weight)
 
 
-class _Others(NamedTuple):
-    """What all views say of the moves that they share, as such.
+class _SharedKnowledge(NamedTuple):
+    """All views' knowledge of the moves that they share.
 
-    - `known` (s, n): the root of what the others know of a view's.
+    - `known` (s, n): the root of the others' information about a view's moves.
     - `slope` (n,): half the derivative of all views' squares; `beyond` (s, s): the root of the
       covariance beyond that of independent errors.
     - `squares` of this `number` of residuals, and how points err.
@@ -292,7 +292,7 @@ def _reports(found: PointDescent, films: list[Camera], weights: np.ndarray) -> t
     fits = []
     for k, (view, film) in enumerate(zip(views, films, strict=True)):
         known = known_by_others(solved, parts[k], ~own) @ np.eye(len(own))[~own]
-        others = _Others(known, slope, beyond, squares, count, found.noise)
+        others = _SharedKnowledge(known, slope, beyond, squares, count, found.noise)
         places = view, *found.others[k]
         fit, *modes = (_report(x, film, others, own, found.limits[k]) for x in places)
         given = int(np.sum(weights[k] > 0))
@@ -328,7 +328,7 @@ def _without_answer(view: PointView, film: Camera) -> PointFit:
 
 
 def _report(
-    view: PointView, film: Camera, others: _Others, own: np.ndarray, limit: float
+    view: PointView, film: Camera, others: _SharedKnowledge, own: np.ndarray, limit: float
 ) -> PointFit:
     """The fit of a view on its film; a misfit above the rms `limit` (px)."""
     freed, noise, seen = view.freed, others.noise, view.look()

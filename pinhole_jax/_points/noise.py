@@ -48,7 +48,8 @@ class Noise(NamedTuple):
 
     @property
     def by_chance(self) -> float:
-        """The most by which squares (px^2) are larger by chance, 0 where nothing is known."""
+        """The increase of the sum of squares (px^2) that chance may cause, 0 where nothing is
+        known."""
         from scipy.stats import f
 
         if not self.freedom > 0:

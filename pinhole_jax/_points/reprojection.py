@@ -189,7 +189,7 @@ class PointProblem(NamedTuple):
 
     @classmethod
     def from_views(cls, views: Sequence[PointView]) -> "PointProblem":
-        """The problem of views that share what none has alone."""
+        """The joint problem of these views: parameters that are not `alone` are shared."""
         names = [name for name in views[0].moving for _ in components((name,))]
         own = np.isin(names, views[0].alone)
         size = len(views) * int(own.sum()) + int((~own).sum())

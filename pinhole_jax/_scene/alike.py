@@ -100,7 +100,7 @@ class Alike:
     @cached_property
     def lines(self) -> list[Revolution]:
         """The lines that the body is round about, but for a part of it."""
-        return memoised(_lines, self.vertices)
+        return memoised(_revolutions, self.vertices)
 
     @cached_property
     def turns(self) -> list[Turn]:
@@ -165,7 +165,8 @@ def _some_of(vertices: np.ndarray) -> np.ndarray:
     return np.asarray(few[first[first >= 0]], float)
 
 
-def _lines(vertices: np.ndarray) -> list[Revolution]:
+def _revolutions(vertices: np.ndarray) -> list[Revolution]:
+    """Lines about which points look round, the roundest first."""
     some = _some_of(vertices)
     if len(some) < 4:
         return []

@@ -298,7 +298,7 @@ def _scale(level: Int[Array, "*C"], real: jnp.dtype) -> Float[Array, "*C"]:
 
 
 def _in_cells(batch: _Batch, cells: _Cells, number: Int[Array, "C"]) -> _InCells:
-    """The parts in cells of their pixels' pieces, `number` for each cell."""
+    """The pieces of each cell's pixel, cut to the cell: `number` (C,) for each."""
     listed, upto = batch.listed, jax.lax.cumsum(number)
     slot = jnp.arange(len(listed.pixel), dtype=jnp.int32)
     cell = jnp.searchsorted(upto, slot, side="right").astype(jnp.int32)
@@ -378,7 +378,8 @@ def _sweep_cells(
     found: _InCells,
     places: Int[Array, "C M"],
 ) -> CellCoverage:
-    """Coverage of cells with the pieces at these places (-1: none); of none without pieces."""
+    """Coverage of cells by the pieces at `places` (-1: no piece); cells without pieces go
+    nowhere."""
     _, pieces, arcs, _ = jax.tree.map(lambda x: x[jnp.maximum(places, 0)], found)
     there, scale = places >= 0, _scale(cells.level, corner.dtype)
     pieces = pieces._replace(

@@ -193,7 +193,7 @@ def _seen(
 
 
 @eqx.filter_jit
-def _window(
+def _all_pixels(
     camera: Camera, problem: Problem, level: Level, freed: tuple[str, ...], size: Size
 ) -> tuple[Array, Array, Array]:
     """Coverage, weight and weighted [J, r] of all pixels of a level."""
@@ -254,7 +254,7 @@ class Origin:
             of_mask = _mask_of(np, problem.pyramid, level)
             return native.pixels(sight, problem.scene, of_mask, model_of(camera.lens))
         assert self.size is not None
-        seen = jax.device_get(_window(camera, problem, level, self.freed, self.size))
+        seen = jax.device_get(_all_pixels(camera, problem, level, self.freed, self.size))
         return _touched(seen, level, self.size)
 
 

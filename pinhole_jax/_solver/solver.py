@@ -290,7 +290,8 @@ class Solver:
         return camera, self.problem, level, *ends, self.freed, size_of_looks(self.levels)
 
     def _further(self, camera: Camera, level: Level, px: float, steps: int):
-        """Number, path and view of steps from a camera: one program, whether it steps or looks."""
+        """Steps taken, path and last view from a camera. (The program is the same for a single
+        look.)"""
         # (optimistix takes a third of this package's import.)
         from .levenberg_marquardt import descended
 
@@ -315,5 +316,5 @@ def _move(camera: Camera, about: tuple[Any, Any, Bounds | None], scale: Any, fre
 def _step(
     camera: Camera, about: tuple[Any, Any, Bounds | None], scale: Any, y: Any, freed
 ) -> Camera:
-    """Return the camera moved by y in the solver's units, about a pivot with a radius."""
+    """Return the camera moved by y in the solver's units; `about` has pivot, radius and bounds."""
     return moved(move_about(camera, *about, scale, freed), y, freed)

@@ -163,6 +163,7 @@ def _depth(part: np.ndarray) -> np.ndarray:
 
 
 def _random_walker(photo: np.ndarray, labels: np.ndarray) -> np.ndarray:
+    """Labels (H, W): each pixel that has none (0) gets that of the most similar stroke."""
     import warnings
 
     from skimage.color import rgb2lab
@@ -244,6 +245,7 @@ def stroke_of(data: Any) -> Stroke:
 
 
 def _mask_of_png(text: Any, W: int, H: int) -> np.ndarray:
+    """The mask (H, W) in a PNG in base64, or a ValueError."""
     from PIL import Image
 
     try:

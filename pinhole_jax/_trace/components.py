@@ -43,7 +43,7 @@ def outer(a: Parts, b: Parts) -> list[Array]:
 
 
 def largest(*vectors: Parts) -> Array:
-    """Return the largest size of a component of several vectors; not differentiated."""
+    """Return the largest absolute component of vectors, ray by ray; not differentiated."""
     sizes = [jnp.abs(jax.lax.stop_gradient(x)) for vector in vectors for x in vector]
     most = sizes[0]
     for size in sizes[1:]:

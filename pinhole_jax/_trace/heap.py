@@ -103,6 +103,7 @@ def _sphere_tree(scene: Scene) -> Tree | None:
 
 
 def _tree(low: Array, high: Array, data: Array, radius: Array | None) -> Tree:
+    """A complete binary tree over boxes in Morton order, its levels one after another."""
     order = morton_order(jnp.mean(data, axis=1))
     eps, extent = jnp.finfo(low.dtype).eps, jnp.max(high - low, axis=1, keepdims=True)
     # Slivers are met up to the root of the rounding beside them: so much their test leaves open.

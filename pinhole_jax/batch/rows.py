@@ -75,6 +75,7 @@ def _json_value(value: Any) -> Any:
 
 
 def _row_value(name: str, value: Any) -> Any:
+    """A value of a row's JSON, NaN and infinities as floats again."""
     kind = COLUMNS.get(name)
     if kind == list[float] and value is not None:
         return [NOT_FINITE[x] if isinstance(x, str) else x for x in value]

@@ -46,7 +46,7 @@ def mask_of_rle(rle: Input[Mapping[str, object], "size, counts"]) -> UInt8[np.nd
 
 
 def _counts(values: Any) -> np.ndarray | None:
-    """Return whole numbers of at least 0, None for what is none."""
+    """Return the values as an array of whole numbers of at least 0, or None if they are not."""
     numbers = as_numbers(values)
     is_counts = numbers is not None and numbers.ndim == 1 and np.all(numbers >= 0)
     return numbers if is_counts and not np.any(numbers % 1) else None

@@ -98,7 +98,7 @@ def _fades(image: Image, opaque: np.ndarray) -> bool:
 
 
 def shrunk(inside: np.ndarray, by: int, neighbours: np.ndarray | None = None) -> np.ndarray:
-    """Return the pixels that are more than `by` (px) inside."""
+    """Return the mask eroded by `by` px, in steps to these `neighbours` (None: four)."""
     from scipy.ndimage import binary_erosion
 
     deep: Any = binary_erosion(inside, neighbours, by, border_value=1) if by else inside
