@@ -174,7 +174,7 @@ def outline_seen(solver: Solver, camera: Camera, number: int) -> OutlinePoints |
 def _beyond_centre(out: np.ndarray, share: np.ndarray) -> np.ndarray:
     """How far (k,) beyond a pixel's centre a straight edge lies that covers a share (k,) of it, by
     its normals (k, 2) outwards: it cuts off a corner, or two sides."""
-    less, more = np.sort(np.abs(out), axis=1).T
+    less, more = np.sort(np.maximum(np.abs(out), 1e-9), axis=1).T
     smaller = np.minimum(share, 1 - share)
     corner = np.sqrt(2 * less * more * smaller) - (less + more) / 2
     depth = np.where(smaller < less / (2 * more), corner, more * (smaller - 0.5))

@@ -268,7 +268,8 @@ def _fit(
         else:
             free = free_about(solver, best.found, places)
         if best.covariance is not None:  # (Places along others are candidates, too.)
-            free = [f for f in free if np.isinf(f.ahead)]
+            about = [transported(near, best.found, f) for f in free]
+            free = [f for f in about if refiner.is_free(best, f)]
         modes = [_Mode(c.found, c.whole.sums, c.errors, c.account, c.covariance) for c in kept]
 
     # 5. Status, covariance, words.
@@ -348,7 +349,7 @@ def _fit_of(
     if note is not None:
         fit = fit._replace(weak=(*fit.weak, note))
     if edge is not None and best.account is not None:
-        alone = from_anywhere and best.account.unbelieved(edge) > RULES.small
+        alone = from_anywhere and best.account.covered > RULES.small
         fit = with_unbelieved(fit, *best.account.words(edge, mask.camera.H), alone)
     turns = [f.axis for f in free if f.axis is not None and np.isinf(f.ahead)]
     return with_modes(fit, other_places(fit, others, turns, minima=best.covariance is None))

@@ -26,7 +26,8 @@ class Account:
     - `size`, `length`: how the edge errs where it is believed (px).
     - `gross` (n,): which points of the edge are not believed; `inside` (n,): which lie inside the
       outline, where something may hide the rest.
-    - `missing`: which share of the outline has no edge beside it, and nothing hides it.
+    - `missing`: which share of the outline has no edge beside it, and nothing hides it; `covered`:
+      which share something hides.
     - `move` (n,): where the camera is likelier, in the solver's units; that is a `shift` of the
       outline by as much as this (px).
     - `covariance` (n, n): of the camera, in the solver's units.
@@ -38,6 +39,7 @@ class Account:
     gross: np.ndarray
     inside: np.ndarray
     missing: float
+    covered: float
     move: np.ndarray
     shift: float
     covariance: np.ndarray
@@ -100,6 +102,7 @@ def account(
     inside = (offset < 0)[blocks.of]
     away = edge.distance(outline.at)
     alone = away > max(RULES.within * found.errors.size, RULES.beside) + abs(found.errors.bias)
+    whole = np.mean(alone)
     alone[alone] = ~_is_hidden(edge, gross & inside, outline.at[alone], away[alone])
     missing = float(np.mean(alone))
     px = missing * outline.length
@@ -113,6 +116,7 @@ def account(
         gross=gross,
         inside=inside,
         missing=missing,
+        covered=float(whole - missing),
         move=errors.move,
         shift=shift,
         covariance=errors.covariance,

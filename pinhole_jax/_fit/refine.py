@@ -22,6 +22,7 @@ from .._solver.problem import FINE_PX
 from .._solver.solver import Solution, Solver, onward
 from .edge import Edge, edge_of, outline_seen
 from .likelihood import Account, account, believed
+from .places import Free
 
 #: Steps by generalised least squares at most; a step of fewer standard errors is the last.
 STEPS, STILL = 16, 0.1
@@ -154,6 +155,13 @@ class Refiner:
         noise = quantisation(self.solver.kind.variance, self.mask.usual_weight)
         outline = outline_seen(self.solver, camera, self.solver.finest)
         return account(self.edge, outline, noise, roughly)
+
+    def is_free(self, candidate: Candidate, free: Free) -> bool:
+        """Whether cameras a rad away in a free direction, to one side at least, are as likely."""
+        near, least = candidate.near, candidate.log - RULES.times**2 / 2
+        turned = (near.step(candidate.found.camera, near.finest, x * free.move) for x in (1, -1))
+        logs = [-np.inf if said is None else said.log for said in map(self.account, turned)]
+        return bool(np.isinf(free.ahead) and max(logs) >= least)
 
     def is_hidden(self, candidate: Candidate) -> bool:
         """Whether something may stand before the object that a camera sees."""
