@@ -101,8 +101,8 @@ class Rules:
     room: float = 0.1
     #: Less of an edge, of a curve or of the usual weight is too little to tell anything; more of an
     #: outline that something hides leaves room for other views, if no start rules them out. (Of 200
-    #: wrong masks one: a bracket with a fifth cut off, seen from 120 degrees away: 0.46. Bites: 0.06
-    #: to 0.13.)
+    #: wrong masks one: a bracket with a fifth cut off, seen from 120 degrees away: 0.46; bites hide
+    #: 0.06 to 0.13.)
     small: float = 0.25
     #: Less of an edge, outline or sum of squares is no matter; more that is missing may be hidden.
     little: float = 0.05
