@@ -152,6 +152,38 @@ def test_intervals_hold_as_often_as_they_say(scene, image, exhaustive):
     assert 0.3 < np.median(stated) < 0.9
 
 
+@pytest.mark.parametrize("px", [0.3, 1.0, 1.5])
+def test_squares_feel_the_share_of_a_move_that_errors_leave(scene, image, px):
+    # An outline that is farther than a pixel from the mask's pulls no harder for being farther.
+    half_px = np.tan(0.3) * 5.2 / SIZE
+    at = lambda x: drawn(single(CAMERA.replace(e=CAMERA.e + x, p=CAMERA.p + x)), scene)
+    moved, in_full = [], 0.0
+    for way in half_px * np.eye(3)[:2]:
+        moved += [at(way), at(-way)]
+        in_full += np.sum((at(way / 10) - at(-way / 10)) ** 2) * 10**2 / 2
+    measured, felt = [], []
+    for seed in range(12):
+        mask = wavy(image, np.random.default_rng(seed), px, 10)
+        bent = sum(np.sum((x - mask) ** 2) - np.sum((image - mask) ** 2) for x in moved)
+        errors = outline_errors(*seen(scene, mask), 1 / 12, hard=True)
+        assert errors is not None
+        measured.append(bent / in_full)
+        felt.append(errors.felt)
+    assert np.mean(felt) == pytest.approx(np.mean(measured), abs=0.2)
+
+
+def test_gradient_at_the_truth_is_as_large_as_its_covariance_says(scene, image):
+    squares = []
+    for seed in range(16):
+        random = np.random.default_rng(seed)
+        view, *mask = seen(scene, wavy(image, random, 1.0, 10, 0.5 * random.normal()))
+        errors = outline_errors(view, *mask, 1 / 12, hard=True)
+        assert errors is not None
+        pull = np.asarray(view.triangle, float).T @ np.asarray(view.along, float)
+        squares.append(pull @ np.linalg.solve(errors.felt**2 * errors.gradient, pull) / len(pull))
+    assert 0.5 < np.median(squares) < 2
+
+
 def test_pixels_of_zero_weight_are_no_mask_error(scene, image):
     hidden = np.add.outer(np.arange(SIZE), np.arange(SIZE)) < SIZE
     cut = (image > 0.5) & ~hidden

@@ -236,7 +236,8 @@ def _agreement(problem: JointProblem, found: Descent, counts: np.ndarray) -> Agr
         errors = mask_errors(eye.solver, s.view)
         gradient = _gradient(eye.solver, s, errors)
         misfit = max(s.view.touched_misfit, eye.solver.kind.least)
-        rows.append((errors, gradient, misfit, *_distance(eye.solver, s, gradient)))
+        felt = 1.0 if errors is None else errors.felt
+        rows.append((errors, gradient, misfit, *_distance(eye.solver, s, gradient * felt**2)))
     errors, gradients, misfits, squares, ranks = map(list, zip(*rows, strict=True))
 
     freedom = sum(ranks) + sum(len(part.left) for part in prior_rows) - problem.size

@@ -38,7 +38,9 @@ class OutlineErrors(NamedTuple):
     - `computed`: how likely it is that it has no errors but quantisation.
     - `independent`: as many offsets that are independent would tell sums of squares apart as well.
     - `gradient` (n, n): the covariance of half the gradient of the sum of squares by the solver's
-      moves if the mask is not computed, times how likely that is.
+      moves if the mask is not computed, times how likely that is; larger by `felt`^-2.
+    - `felt`: the share of a small move that the gradient feels: an outline farther than a pixel
+      from the mask's pulls no more than one a pixel away. 1 for a mask that is computed.
     """
 
     size: float
@@ -46,6 +48,7 @@ class OutlineErrors(NamedTuple):
     computed: float
     independent: float
     gradient: np.ndarray
+    felt: float = 1.0
 
 
 def is_drawn(errors: OutlineErrors | None) -> bool:
@@ -97,7 +100,8 @@ def _odds_of_computed(beyond: int, pixels: int) -> float:
 def _weighed(stretches: Stretches, quantisation: float, odds: float) -> OutlineErrors:
     """Return the mean of the hypotheses, each as likely as the offsets are under it, and as the
     mask is of being computed (by logarithmic `odds`)."""
-    model = _Model(stretches, quantisation, _felt(stretches.offset, stretches.share))
+    felt, offset = _felt(stretches.offset, stretches.share)
+    model = _Model(stretches, quantisation, offset)
     together = _hypotheses(model, RULES.lengths, RULES.own)
     together.independent[0] = np.sum(stretches.length)
     logs = together.log_likelihood
@@ -113,6 +117,7 @@ def _weighed(stretches: Stretches, quantisation: float, odds: float) -> OutlineE
         computed=float(weights[0]),
         independent=float(weights @ together.independent),
         gradient=np.tensordot(weights[1:], together.gradient[1:], axes=1),
+        felt=float(weights[0] + (1 - weights[0]) * felt),
     )
 
 
@@ -129,15 +134,17 @@ def _hypotheses(model: "_Model", lengths: tuple[float, ...], own: tuple[float, .
     return _Hypotheses(*map(np.concatenate, zip(*found, strict=True)))
 
 
-def _felt(offset: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Return the offsets (px) that would move the camera as these do if each counted in full.
+def _felt(offset: np.ndarray, share: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return the share of a small move that the gradient feels, and the offsets (px) that would
+    move the camera as these do if it felt all.
 
     An outline that is farther than a pixel away pulls no more than one that is a pixel away: a
     pixel's residual d - d |d| / 2 grows no further, in the mean of where the outline crosses it.
     """
     near = np.clip(offset, -1, 1)
     rate = np.sum(share * (1 - np.abs(near))) / max(np.sum(share), 1e-300)
-    return (near - near * np.abs(near) / 2) / max(rate, LEAST_RATE)
+    rate = max(float(rate), LEAST_RATE)
+    return rate, (near - near * np.abs(near) / 2) / rate
 
 
 class Offsets(NamedTuple):
