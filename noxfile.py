@@ -215,14 +215,16 @@ def docs(session: nox.Session) -> None:
 @apart(python=newest())
 def canary(session: nox.Session) -> None:
     """Raise the upper bounds of pyproject.toml to what is published; then all tests, the worst
-    errors, and no mask, Jacobian or fit that takes 3 times as long beside a plain loop."""
+    errors, no mask, Jacobian or fit that takes 3 times as long beside a plain loop, and a guided
+    minute of fuzzing for each reader."""
     session.run("python", ".ci/canary")
-    session.install("-e", ".[test]", "numba", "--upgrade")
+    session.install("-e", ".[test]", "numba", "--group", "fuzz", "--upgrade")
     session.run("python", "--version")
     pytest(session)
     gate = ("python", "experiments/frozen.py", "--gate", "--only")
     session.run(*gate, "errors")
     session.run(*gate, "speed", "--times", "3")
+    session.run("python", "tests/fuzz_readers.py", "--seconds", "1440")
 
 
 if __name__ == "__main__":
