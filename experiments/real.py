@@ -11,7 +11,7 @@
 - `knee`: femur and tibia of a frame as two objects of one fit, from 3 degrees, 3, 3, 15 mm off.
 - `chessboards`: does `fit_points` calibrate as OpenCV does? Thirteen photos.
 - `split`: do halves of each of these differ by no more than their error bars say? Odd and even
-  views, alternate blocks of a lone outline, or (`--only corners`) odd and even corners of a photo.
+  views or photos, alternate blocks of a lone outline, odd and even corners. (`--resume` goes on.)
 - `photos`: what a photo adds where the mask is off by 1 to 3 px: traced, textured, lit, noisy.
 - `demos`: four published pose demonstrations (PyTorch3D, nvdiffrast, Mitsuba, redner), redone from
   the outline alone, the whole pose free.
@@ -48,6 +48,7 @@ from _common import (
     resized,
     show,
     start_from,
+    trials,
     turn_by,
 )
 from honesty import signed_distance, waves
@@ -378,99 +379,118 @@ def chessboards(asked: Asked) -> dict:
 
 PANDA = DATA / "robots" / "panda"
 HAND = ["panda_hand", "panda_leftfinger", "panda_rightfinger"]
-#: A name, what fits a half, and the halves.
-Split = tuple[str, Callable[[Any], Any], tuple[Any, Any]]
+#: Halves are to differ by at most so many sigmas (rms).
+WIDE = 1.3
+#: What fits a half, and the halves.
+Split = tuple[Callable[[Any], Any], tuple[Any, Any]]
 
 
-def views_split(name: str, views: list[pj.JointView], unknown: pj.Camera, **more: Any) -> Split:
+def views_split(views: list[pj.JointView], unknown: pj.Camera) -> Split:
     """Return odd and even views of a robot; each half starts from the fit to all views."""
     whole = pj.fit_joint(views, unknown, search=True)
-    return name, lambda half: pj.fit_joint(half, whole.camera, **more), (views[::2], views[1::2])
+    return lambda half: pj.fit_joint(half, whole.camera), (views[::2], views[1::2])
 
 
-def robot_splits() -> Iterator[Split]:
-    unknown = given_camera(K, np.eye(3), np.zeros(3), 960, 540)
-    for side in ("left", "right"):
-        yield views_split(f"KUKA, {side} eye", postures(side), unknown)
-    numbers = np.loadtxt(PANDA / "K.txt")
-    unknown = given_camera(numbers.reshape(3, 3), np.eye(3), np.zeros(3), 640, 480)
-    robot, given = (
-        pj.robots.load_urdf(PANDA / "panda.urdf", HAND),
-        json.loads((PANDA / "joints.json").read_text()),
-    )
-    views = [
-        pj.JointView(
-            robot.scene(dict(zip(given["names"], angles, strict=True))),
-            pj.io.load_mask(PANDA / f"mask_{k}.png"),
-        )
-        for k, angles in enumerate(given["postures"])
-    ]
-    yield views_split("Panda", views, unknown)
+def kuka(side: str) -> Iterator[Split]:
+    yield views_split(postures(side), given_camera(K, np.eye(3), np.zeros(3), 960, 540))
 
 
-def outline_splits() -> Iterator[Split]:
+def panda() -> Iterator[Split]:
+    K = np.loadtxt(PANDA / "K.txt").reshape(3, 3)
+    robot = pj.robots.load_urdf(PANDA / "panda.urdf", HAND)
+    given = json.loads((PANDA / "joints.json").read_text())
+    angles = [dict(zip(given["names"], row, strict=True)) for row in given["postures"]]
+    masks = [pj.io.load_mask(PANDA / f"mask_{k}.png") for k in range(len(angles))]
+    views = [pj.JointView(robot.scene(q), mask) for q, mask in zip(angles, masks, strict=True)]
+    yield views_split(views, given_camera(K, np.eye(3), np.zeros(3), 640, 480))
+
+
+def outlines(items: Iterable[Item], free: tuple[str, ...] = ("pose",)) -> Iterator[Split]:
     """Yield alternate blocks of each lone outline."""
-    for title, scene, mask, truth, _ in itertools.chain(bottle(), cow(), implants()):
-        free = ("pose", "phi") if title == "cow" else ("pose",)
+    for _, scene, mask, truth, _ in items:
         whole = pj.fit_camera(scene, mask, off(truth, scene), free)
-        refit = lambda w, s=scene, m=mask, c=whole.camera, f=free: pj.fit_camera(
-            s, m, c, f, weight=w
-        )
-        yield title, refit, pj.outline_halves(mask, whole.mask_error)
+        refit = lambda w, s=scene, m=mask, c=whole.camera: pj.fit_camera(s, m, c, free, weight=w)
+        yield refit, pj.outline_halves(mask, whole.mask_error)
 
 
-def board_splits() -> Iterator[Split]:
+def implants_of(name: str) -> Iterator[Split]:
+    """Yield the splits of a bone's frames, by its name and that of the masks."""
+    bone, kind = name.split(" by ")
+    yield from outlines(x for x in implants() if x[0].startswith(bone) and kind in x[0])
+
+
+def board_photos() -> Iterator[Split]:
     """Yield odd and even photos of a chessboard: what they share is the lens."""
     points, (seen_at, size) = board(), corners(BOARDS)
     film, lens = film_of(seen_at, size[1]), by_fit(points, seen_at, size)[1][0].camera
-    yield "chessboards", lambda x: pj.fit_points(points, x, lens), (film[::2], film[1::2])
+    yield lambda x: pj.fit_points(points, x, lens), (film[::2], film[1::2])
 
 
-def corner_splits() -> Iterator[Split]:
+def board_corners() -> Iterator[Split]:
     """Yield odd and even corners of each photo, with the lens that all photos show."""
     points, (seen_at, size) = board(), corners(BOARDS)
     odd = np.arange(len(points)) % 2
     seen = zip(film_of(seen_at, size[1]), by_fit(points, seen_at, size)[1], strict=True)
-    for k, (film, fit) in enumerate(seen):
-        refit = lambda w, x=film, c=fit.camera: pj.fit_points(points, x, c, weights=w)
-        yield f"corners {k}", refit, (odd, 1 - odd)
+    for film, fit in seen:
+        yield lambda w, x=film, c=fit.camera: pj.fit_points(points, x, c, weights=w), (odd, 1 - odd)
 
 
-SPLITS = {
-    "robots": (LBR, robot_splits),
-    "outlines": (DATA, outline_splits),
-    "boards": (BOARDS, board_splits),
-    "corners": (BOARDS, corner_splits),
+#: Sets of real data: the splits, and how many mm a unit has (None: it has no size).
+SPLITS: dict[str, tuple[Callable[[], Iterator[Split]], float | None]] = {
+    "KUKA left": (lambda: kuka("left"), 1e3),
+    "KUKA right": (lambda: kuka("right"), 1e3),
+    "Panda": (panda, 1e3),
+    "femur by label": (lambda: implants_of("femur by label"), 1.0),
+    "tibia by label": (lambda: implants_of("tibia by label"), 1.0),
+    "femur by network": (lambda: implants_of("femur by network"), 1.0),
+    "tibia by network": (lambda: implants_of("tibia by network"), 1.0),
+    "bottle": (lambda: outlines(bottle()), 1e3),
+    "cow": (lambda: outlines(cow(), ("pose", "phi")), None),
+    "chessboards": (board_photos, 1e3),
+    "corners": (board_corners, 1e3),
 }
 
 
-def split(asked: Asked) -> dict:
-    rows = []
-    for kind in asked.names(SPLITS):
-        path, splits = SPLITS[kind]
-        for name, refit, halves in splits() if there(path) else ():
-            check = pj.split_check(refit, halves)
-            part = check.parts[0]
-            row = {"": name, "kind": kind, "statuses": ", ".join(sorted({*check.statuses}))}
-            row |= {"rms": check.rms, "chance": check.chance, "count": check.parameters}
-            row |= {"degrees": float(np.rad2deg(part.angle)), "shift": part.shift}
-            rows.append(row)
-            print(f"{name}: {check}", flush=True)
-            if asked.quick:
-                break
-    show(rows)
-    sets = {
-        kind: pooled(row for row in rows if row["kind"] == kind) for kind in asked.names(SPLITS)
+def number_of(x: float) -> float | None:
+    return float(x) if np.isfinite(x) else None
+
+
+def halved(number: int, name: str) -> dict:
+    """Return the checks of a set's splits, and their rms over all parameters."""
+    del number
+    (splits, mm), checks = SPLITS[name], []
+    for refit, halves in splits():
+        check = pj.split_check(refit, halves)
+        print(f"{name}: {check}", flush=True)
+        part, row = check.parts[0], {"statuses": [*check.statuses], "rms": check.rms}
+        row |= {"chance": check.chance, "count": check.parameters * check.is_conclusive}
+        row |= {
+            "degrees": number_of(np.rad2deg(part.angle)),
+            "mm": mm and number_of(mm * part.shift),
+        }
+        checks.append(row)
+    told = [row for row in checks if row["count"]]
+    squares = [row["count"] * row["rms"] ** 2 for row in told]
+    most = lambda key: max((row[key] for row in told if row[key] is not None), default=None)
+    return {
+        "rms": float((sum(squares) / max(sum(row["count"] for row in told), 1)) ** 0.5),
+        "splits": len(told),
+        "degrees": most("degrees"),
+        "mm": most("mm"),
+        "checks": checks,
     }
-    wide = [f"{name} {rms:.2f}" for name, rms in sets.items()]
-    return {"verdict": f"rms in sigma: {', '.join(wide)}", "sets": sets, "table": rows}
 
 
-def pooled(rows: Iterable[dict]) -> float:
-    """Return the rms in sigma over all parameters of some checks."""
-    known = [(row["count"] * row["rms"] ** 2, row["count"]) for row in rows if row["count"]]
-    squares, counts = np.sum(known, axis=0) if known else (np.nan, 1)
-    return float((squares / counts) ** 0.5)
+def split(asked: Asked) -> dict:
+    if not there(DATA):
+        return {"verdict": "skipped: no real data", "sets": {}}
+    names = asked.names(SPLITS)
+    place = lambda name: f"real-split-{name.replace(' ', '-')}"
+    sets = {name: trials(asked, place(name), 1, [(name,)], halved)[0] for name in names}
+    show({"": name, **{k: row[k] for k in [*row][:4]}} for name, row in sets.items())
+    wide = [f"{name} {row['rms']:.2f}" for name, row in sets.items() if row["rms"] > WIDE]
+    words = f"{len(sets) - len(wide)} of {len(sets)} sets within {WIDE} sigma (rms)"
+    return {"verdict": "; ".join([words, *wide]), "sets": sets}
 
 
 # Photos
