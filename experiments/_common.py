@@ -29,7 +29,7 @@ SHARED = DATA / "meshes"
 NORMAL_95 = 1.96
 
 
-class Asked(NamedTuple):
+class Options(NamedTuple):
     """What the command line asks for.
 
     - `trials`: how many, None for the part's own number. `seed`: the first trial's.
@@ -52,7 +52,7 @@ class Asked(NamedTuple):
         return [name for name in known if not self.only or name in self.only]
 
 
-Part = Callable[[Asked], dict]
+Part = Callable[[Options], dict]
 Picture = Callable[[dict, Path], None]
 
 
@@ -82,7 +82,7 @@ def main(
     given["out"].mkdir(parents=True, exist_ok=True)
     jax.config.update("jax_enable_x64", x64)
     pj.cache()
-    found = answer(Asked(**given))
+    found = answer(Options(**given))
     print(found["verdict"])
     path = given["out"] / f"{Path(sys.argv[0]).stem}_{name}"
     for picture in draw:
@@ -92,7 +92,7 @@ def main(
 
 
 def trials(
-    asked: Asked, name: str, total: int, cases: Sequence[tuple], trial: Callable[..., dict]
+    asked: Options, name: str, total: int, cases: Sequence[tuple], trial: Callable[..., dict]
 ) -> list[dict]:
     """Return the rows of `trial(number, *case)`, the cases one after the other in equal shares.
 

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from _common import (
     NORMAL_95,
-    Asked,
+    Options,
     axes_of,
     degrees,
     main,
@@ -70,7 +70,7 @@ def fitted(scene: pj.Scene, truth: pj.Camera, start: pj.Camera | None, free: tup
     return fit, truth, time.perf_counter() - begin
 
 
-def starts(asked: Asked) -> dict:
+def starts(asked: Options) -> dict:
     table = []
     for name, scene in meshes("spot.obj", "suzanne.ply"):
         for kind, cast in (("float32", lambda x: x), ("float64", wide)):
@@ -89,7 +89,7 @@ def starts(asked: Asked) -> dict:
     return said(table)
 
 
-def search(asked: Asked) -> dict:
+def search(asked: Options) -> dict:
     table = []
     for name, scene in meshes("spot.obj", "bob.obj", "suzanne.ply", "teapot.obj"):
         for free in FREE:
@@ -120,7 +120,7 @@ def values(camera: pj.Camera, truth: pj.Camera) -> np.ndarray:
 NOISE = 0.02
 
 
-def noise(asked: Asked) -> dict:
+def noise(asked: Options) -> dict:
     table = []
     for name, scene in meshes("spot.obj"):
         truth, free = random_camera(np.random.default_rng(5)), FREE[1]
@@ -144,7 +144,7 @@ def noise(asked: Asked) -> dict:
     return {"verdict": words, "table": table}
 
 
-def one_bit(asked: Asked) -> dict:
+def one_bit(asked: Options) -> dict:
     sizes, table = (32, 64, 128, 256, 512, 1024), {}
     for name, scene in meshes("spot.obj"):
         found: dict[int, float] = {}
@@ -163,7 +163,7 @@ def one_bit(asked: Asked) -> dict:
     return {"verdict": f"median degrees over pixels: {', '.join(table)}", "table": table}
 
 
-def views(asked: Asked) -> dict:
+def views(asked: Options) -> dict:
     table = []
     for name, scene in meshes("spot.obj"):
         for number in (1, 4, 16):
@@ -183,7 +183,7 @@ def views(asked: Asked) -> dict:
     return {"verdict": f"16 views: focal length {off:.2%} off (rms)", "table": table}
 
 
-def basin(asked: Asked) -> dict:
+def basin(asked: Options) -> dict:
     angles, table = np.linspace(-60, 60, asked.number(13, 3)), {}
     for name, scene in meshes("spot.obj"):
         truth = random_camera(np.random.default_rng(1))
@@ -232,7 +232,7 @@ def differences(camera: pj.Camera, scene: pj.Scene) -> dict[str, np.ndarray]:
     }
 
 
-def precision(asked: Asked) -> dict:
+def precision(asked: Options) -> dict:
     ball = pj.Spheres(np.float32([[0.7, 0.4, 0.6]]), np.float32([0.3]))
     (_, shape), *_ = meshes()
     scene, found = pj.Scene(mesh=shape.mesh, spheres=ball), {}

@@ -31,7 +31,7 @@ import jax.numpy as jnp
 import numpy as np
 import trimesh
 from _common import (
-    Asked,
+    Options,
     apart,
     camera_at,
     curves,
@@ -131,7 +131,7 @@ def on_one_core() -> None:
     numba.set_num_threads(1)
 
 
-def loop(asked: Asked) -> dict:
+def loop(asked: Options) -> dict:
     on_one_core()
     faces, pixels = QUICK if asked.quick else (FACES, PIXELS)
     mesh, table = sphere(AT_FACES), []
@@ -286,7 +286,7 @@ def fits(scene: pj.Scene, size: int, systems: list) -> list[dict]:
     return rows
 
 
-def peers(asked: Asked) -> dict:
+def peers(asked: Options) -> dict:
     found, known = {}, [*usable()]
     for case in asked.names([*CASES][:1] if asked.quick else CASES):
         make, size = CASES[case]
@@ -349,7 +349,7 @@ def held(faces: float, px: int, views: int) -> dict:
     return {**row, "times both": (size + beyond) / (size + image.nbytes)}
 
 
-def memory(asked: Asked) -> dict:
+def memory(asked: Options) -> dict:
     if not Path("/proc/self/clear_refs").exists():
         return {"verdict": "skipped: this system does not tell what a process holds"}
     sizes = [(1e5, 512, 1)] if asked.quick else [(n, 512, 1) for n in (1e5, 1e6, 4e6)]
@@ -406,7 +406,7 @@ def traced(scene: pj.Scene, rays: pj.Rays, film: pj.Camera | None) -> dict:
     return row
 
 
-def tracer(asked: Asked) -> dict:
+def tracer(asked: Options) -> dict:
     table = []
     for level in (5,) if asked.quick else (3, 5, 7):
         shape = trimesh.creation.icosphere(level)
@@ -461,7 +461,7 @@ def made(place: str, out: str) -> dict:
     return {"device": jax.devices()[0].device_kind, "rows": rows}
 
 
-def device(asked: Asked) -> dict:
+def device(asked: Options) -> dict:
     made, table = {}, []
     for place in asked.names(PLACES):
         platform, x64 = PLACES[place]

@@ -32,7 +32,7 @@ import jax
 import numpy as np
 from _common import (
     NORMAL_95,
-    Asked,
+    Options,
     axes_of,
     camera_at,
     curves,
@@ -325,7 +325,7 @@ def calibrated(rows: list[dict]) -> dict[str, Any]:
     }
 
 
-def ranked(asked: Asked) -> dict:
+def ranked(asked: Options) -> dict:
     makers, table = shapes(), {}
     for kind in asked.names(KINDS):
         one = partial(trial, makers=makers)
@@ -482,7 +482,7 @@ def refit_trial(number: int, name: str, setup: tuple[pj.Camera, Refit]) -> dict:
     return {**row, "covariance": covariance.tolist(), "std": fit.std.tolist()}
 
 
-def matrix(asked: Asked) -> dict:
+def matrix(asked: Options) -> dict:
     table = {}
     for name in asked.names(SETUPS):
         one = partial(refit_trial, setup=SETUPS[name]())

@@ -244,7 +244,7 @@ def measured(group: str, quick: bool, cache: Path) -> Known:
 def child(group: str, path: Path, size: str) -> None:
     """Write a group's figures to a file."""
     import jax
-    from _common import Asked
+    from _common import Options
 
     import pinhole_jax as pj
 
@@ -252,7 +252,7 @@ def child(group: str, path: Path, size: str) -> None:
     jax.config.update("jax_enable_x64", group not in TIMED)
     pj.cache()
     found = {}
-    for figure in GROUPS[group](Asked(path.parent, quick=size == "quick", resume=True)):
+    for figure in GROUPS[group](Options(path.parent, quick=size == "quick", resume=True)):
         row = figure._asdict()
         name, share, amount = (row.pop(key) for key in ("name", "share", "amount"))
         row["value"] = float(f"{figure.value:.6g}") if isfinite(figure.value) else None

@@ -27,7 +27,7 @@ import _shapes
 import numpy as np
 import trimesh
 from _common import (
-    Asked,
+    Options,
     camera_at,
     curves,
     degrees,
@@ -271,7 +271,7 @@ def is_lie(row: dict) -> bool:
     return row["status"] == "converged" and row["degrees"] > 1 and not row["sigmas"] <= 4
 
 
-def exact(name: str, shapes: Iterable[str], asked: Asked) -> dict:
+def exact(name: str, shapes: Iterable[str], asked: Options) -> dict:
     """Masks that programs make."""
     cases = [(shape, kind) for shape in asked.names(shapes) for kind in KINDS]
     rows = trials(asked, name, asked.number(1000, 35), cases, trial)
@@ -367,13 +367,13 @@ def by_kind(rows: list[dict]) -> dict:
     return {"verdict": f"{len(rows)} fits: {words}", "table": table}
 
 
-def wrong(name: str, shapes: Iterable[str], asked: Asked) -> dict:
+def wrong(name: str, shapes: Iterable[str], asked: Options) -> dict:
     """Masks that people and networks make."""
     cases = [(shape, kind) for shape in shapes for kind in asked.names(WRONG)]
     return by_kind(trials(asked, name, asked.number(1000, 36), cases, wrong_trial))
 
 
-def occluded(name: str, shapes: Iterable[str], asked: Asked) -> dict:
+def occluded(name: str, shapes: Iterable[str], asked: Options) -> dict:
     """Masks of objects behind something."""
     kinds = [f"{s} % {what}" for s in (10, 20, 30, 40) for what in ("plane", "board", "ball")]
     cases = [(shape, kind) for shape in shapes for kind in kinds]
@@ -399,7 +399,7 @@ def corrupted(mask: np.ndarray, share: float, random: Random) -> np.ndarray:
     return result
 
 
-def tolerance(asked: Asked) -> dict:
+def tolerance(asked: Options) -> dict:
     errors: dict[str, dict[float, list[float]]] = {}
     for name, scene in meshes("spot.obj"):
         for number in range(asked.seed, asked.seed + asked.number(15)):

@@ -20,7 +20,7 @@ import jax
 import numpy as np
 from _common import (
     NORMAL_95,
-    Asked,
+    Options,
     axes_of,
     camera_at,
     curves,
@@ -104,7 +104,7 @@ def summary(rows: list[dict]) -> dict:
     }
 
 
-def one_view(asked: Asked) -> dict:
+def one_view(asked: Options) -> dict:
     cases = [(shape, kind) for shape in asked.names(DRAWN) for kind in KINDS]
     rows = trials(asked, "one-view", asked.number(400, 24), cases, trial)
     told = [r for r in rows if r["errors"]]
@@ -167,7 +167,7 @@ def joint(seed: int, kind: str, number: int, wrong: bool) -> dict:
     return {"errors": (np.append(turn, found.pose[:3, 3]) / found.std).tolist()}
 
 
-def few_views(asked: Asked) -> dict:
+def few_views(asked: Options) -> dict:
     table = []
     for case in [(kind, n, wrong) for kind in WRONG for n in (2, 3, 5) for wrong in (False, True)]:
         name = "few-views-" + "-".join(map(str, case))

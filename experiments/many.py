@@ -26,7 +26,7 @@ import jax.monitoring
 import numpy as np
 import trimesh
 from _common import (
-    Asked,
+    Options,
     apart,
     degrees,
     main,
@@ -73,7 +73,7 @@ def children(pid: int) -> list[int]:
         return []
 
 
-def batch(asked: Asked) -> dict:
+def batch(asked: Options) -> dict:
     count, data = asked.number(1000, 8), asked.out / "batch"
     (asked.out / "batch.items").write_text(json.dumps(records(data, count)))
     run = [sys.executable, __file__, "--fit-many", str(asked.out / "batch.items")]
@@ -120,7 +120,7 @@ def joint(number: int) -> dict:
     }
 
 
-def views(asked: Asked) -> dict:
+def views(asked: Options) -> dict:
     numbers = (3, 6) if asked.quick else (10, 100, 1000)
     rows = [apart(__file__, "--views", str(number)) for number in numbers]
     show(rows)
@@ -140,7 +140,7 @@ def megabytes() -> float:
     return pages * resource.getpagesize() / 1e6
 
 
-def masks(asked: Asked) -> dict:
+def masks(asked: Options) -> dict:
     compiled: list[str] = []
 
     def listen(event: str, duration_secs: float, **about: str | int) -> None:

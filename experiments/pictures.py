@@ -11,7 +11,7 @@
 from itertools import pairwise
 
 import numpy as np
-from _common import Asked, axes_of, camera_at, degrees, main, mask_of, meshes, orbited
+from _common import Options, axes_of, camera_at, degrees, main, mask_of, meshes, orbited
 from PIL import Image, ImageDraw, ImageFont
 from scipy.spatial.transform import Rotation
 
@@ -30,7 +30,7 @@ def grey(depth: np.ndarray) -> np.ndarray:
     return np.where(met, 1 - 0.8 * (np.where(met, depth, near) - near) / (far - near), 0)
 
 
-def gallery(asked: Asked) -> dict:
+def gallery(asked: Options) -> dict:
     scene = pj.Scene(mesh=pj.shapes.bumpy(5), spheres=pj.Spheres([[0.75, -0.45, 1.1]], [0.35]))
     camera = pj.Camera([1.6, 1.2, 4.6], [0.05, -0.05, 0.1], [0, 1, 0], 0.66, W=256, H=256)
     mask, depth = mask_of(camera, scene), np.asarray(pj.depth(camera, scene), float)
@@ -65,7 +65,7 @@ def frame(picture: np.ndarray, camera: pj.Camera, scene: pj.Scene, words: str) -
     return drawn.resize((SIZE, SIZE), Image.Resampling.BOX)
 
 
-def fit(asked: Asked) -> dict:
+def fit(asked: Options) -> dict:
     _, (name, scene) = meshes("spot.obj")
     axes = axes_of(pj.Camera(EYE, np.zeros(3), [0.0, 1, 0], 0.5, W=SIZE, H=SIZE))
     truth = camera_at(axes, np.zeros(2), np.linalg.norm(EYE), 0.43, SIZE)

@@ -37,7 +37,7 @@ from _common import (
     DATA,
     NORMAL_95,
     SHARED,
-    Asked,
+    Options,
     axes_of,
     camera_at,
     degrees,
@@ -149,7 +149,7 @@ def off(truth: pj.Camera, scene: pj.Scene) -> pj.Camera:
     return at_pose(truth, rigid(turn @ pose[:3, :3], away))
 
 
-def single(asked: Asked) -> dict:
+def single(asked: Options) -> dict:
     if not there(DATA):
         return {"verdict": "skipped: no real data", "table": []}
     rows, tiles = [], []
@@ -228,7 +228,7 @@ def stereo(fits: dict[str, pj.Fit]) -> dict:
     }
 
 
-def robots(asked: Asked) -> dict:
+def robots(asked: Options) -> dict:
     if not there(LBR):
         return {"verdict": "skipped: no robot", "table": {}}
     unknown, ways = given_camera(K, np.eye(3), np.zeros(3), 960, 540), {}
@@ -283,7 +283,7 @@ def expert(bone: str) -> list[np.ndarray]:
     return poses
 
 
-def knee(asked: Asked) -> dict:
+def knee(asked: Options) -> dict:
     if not there(KNEE):
         return {"verdict": "skipped: no knee", "table": []}
     scenes = {bone: pj.Scene(mesh=pj.load_mesh(KNEE / f"{bone}.stl")) for bone in BONES}
@@ -364,7 +364,7 @@ def film_of(seen_at: np.ndarray, H: int) -> np.ndarray:
     return np.stack([seen_at[..., 0] + 0.5, H - 0.5 - seen_at[..., 1]], axis=-1)
 
 
-def chessboards(asked: Asked) -> dict:
+def chessboards(asked: Options) -> dict:
     if not there(BOARDS):
         return {"verdict": "skipped: no chessboards", "table": []}
     given = board(), *corners(BOARDS)
@@ -481,7 +481,7 @@ def halved(number: int, name: str) -> dict:
     }
 
 
-def split(asked: Asked) -> dict:
+def split(asked: Options) -> dict:
     if not there(DATA):
         return {"verdict": "skipped: no real data", "sets": {}}
     names = asked.names(SPLITS)
@@ -525,7 +525,7 @@ def photo_of(camera: pj.Camera, scene: pj.Scene, random: np.random.Generator) ->
     return np.round(255 * np.clip(image + noise, 0, 1)).astype(np.uint8)
 
 
-def photos(asked: Asked) -> dict:
+def photos(asked: Options) -> dict:
     rows, scenes = [], [*meshes("spot.obj", "suzanne.ply")]
     for number in range(asked.seed, asked.seed + asked.number(12)):
         name, scene = scenes[number % len(scenes)]
@@ -603,7 +603,7 @@ def cases() -> Iterator[tuple[str, pj.Mesh, pj.Camera, pj.Camera | None, bool]]:
     )
 
 
-def demos(asked: Asked) -> dict:
+def demos(asked: Options) -> dict:
     if not there(SHARED):
         return {"verdict": "skipped: no meshes", "table": []}
     rows, cube = [], Rotation.create_group("O").as_matrix()
@@ -632,7 +632,7 @@ COMMANDS = {
 }
 
 
-def command(asked: Asked) -> dict:
+def command(asked: Options) -> dict:
     rows = []
     for name, words in COMMANDS.items() if there(DATA) else ():
         with tempfile.TemporaryDirectory() as out:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import honesty
-from _common import Asked, main, show
+from _common import Options, main, show
 
 import pinhole_jax as pj
 from pinhole_jax._rules import RULES
@@ -104,7 +104,7 @@ def compared(rows: list[dict], base: list[dict]) -> dict[str, Any]:
     }
 
 
-def table(asked: Asked) -> dict:
+def table(asked: Options) -> dict:
     number, path = asked.number(200, 2), asked.out / "rent.jsonl"
     if not asked.resume:
         path.unlink(missing_ok=True)

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from _common import (
     SHARED,
-    Asked,
+    Options,
     camera_at,
     curves,
     degrees,
@@ -92,7 +92,7 @@ CASES |= {
 }
 
 
-def asked_cases(asked: Asked) -> list[str]:
+def asked_cases(asked: Options) -> list[str]:
     return asked.names([*CASES][:2] if asked.quick else CASES)
 
 
@@ -107,7 +107,7 @@ def mask_ms(scene: pj.Scene, size: int = 256, **more: Any) -> float:
     return 1e3 * median_s(lambda: pj.silhouette(camera, scene, **more), time.process_time)
 
 
-def masks(asked: Asked) -> dict:
+def masks(asked: Options) -> dict:
     rows = []
     for name in asked_cases(asked):
         make, like = CASES[name]
@@ -132,7 +132,7 @@ def hard_and_soft(scene: pj.Scene, truth: pj.Camera) -> dict[str, Any]:
     return row
 
 
-def fits(asked: Asked) -> dict:
+def fits(asked: Options) -> dict:
     rows = []
     for name in asked_cases(asked):
         if "spheres" not in name:
@@ -143,7 +143,7 @@ def fits(asked: Asked) -> dict:
     return {"verdict": f"Seconds of a fit to a hard mask: {worst:.2f} at most", "table": rows}
 
 
-def growth(asked: Asked) -> dict:
+def growth(asked: Options) -> dict:
     levels = range(2, 5 if asked.quick else 8)
     noise, sizes = (0.03, 0.06, 0.12, 0.25, 0.5, 1, 2), (64, 128, 256, 512, 1024, 2048)
     table = {
@@ -162,7 +162,7 @@ def draw(found: dict, path: Path) -> None:
     curves(path, *(("ms of a mask", k, "loglog", line) for k, line in lines.items()))
 
 
-def photos(asked: Asked) -> dict:
+def photos(asked: Options) -> dict:
     rows = []
     for width in WIDTHS[: 1 if asked.quick else None]:
         row = hard_and_soft(bumpy(2), resized(view(), width, 3 * width // 4))
@@ -174,7 +174,7 @@ def photos(asked: Asked) -> dict:
     return {"verdict": words, "table": rows}
 
 
-def stress(asked: Asked) -> dict:
+def stress(asked: Options) -> dict:
     sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
     import stress
 

@@ -32,7 +32,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import trimesh
-from _common import Asked, apart, camera_at, main, mask_of, show, start_from
+from _common import Options, apart, camera_at, main, mask_of, show, start_from
 
 import pinhole_jax as pj
 
@@ -109,7 +109,7 @@ def first(name: str) -> dict:
     return {**whole, **dict(zip(names, parts, strict=True))}
 
 
-def first_calls(asked: Asked) -> dict:
+def first_calls(asked: Options) -> dict:
     drawn, rows = asked.out.resolve() / "first_mask.npy", []
     np.save(drawn, mask_of(camera(), scene()))
     for name in asked.names(CALLS):
@@ -481,7 +481,7 @@ def interrupted(step: Step) -> None:
     step.note("Ctrl-C after 1.5 s", time.perf_counter() - begin, 0.0)
 
 
-def first_use(asked: Asked) -> dict:
+def first_use(asked: Options) -> dict:
     with tempfile.TemporaryDirectory() as name:
         folder, begin = Path(name), time.perf_counter()
         step = Step(installed(folder, "borrow" in asked.flags), folder)
@@ -513,7 +513,7 @@ def profile(call: Callable[[], object]) -> dict[str, float]:
     return {name: share for share, name in shares[:12]}
 
 
-def hotspots(asked: Asked) -> dict:
+def hotspots(asked: Options) -> dict:
     truth = camera()
     mask, start = mask_of(truth, scene()), start_from(truth, 10, 0.05, np.random.default_rng(0))
 

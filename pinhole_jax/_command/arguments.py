@@ -143,7 +143,7 @@ VERBS = {
         f"{STATUS}\n\n{MASKS}\n{FILES}",
     ),
     "check": Verb(
-        "tell from a new mask whether a camera has moved, or whether error bars hold",
+        "check with a new mask whether a camera has moved, or whether error bars hold",
         "Compare CAMERA with the camera that sees MESH as MASK: has it moved, by how many\n"
         "standard errors, and which way? For a robot: check CAMERA ROBOT.urdf JOINTS MASK...\n"
         "With --split: do two halves of the outline, or of a robot's views, agree?\n"
