@@ -109,7 +109,7 @@ class Rules:
     #: More of an edge or outline that no occluder explains is a misfit.
     astray: float = 0.1
     #: While cameras are refined, those are left whose logarithm is less by this.
-    hopeless: float = 60.0
+    hopeless: float = 30.0
     #: How far, in standard errors, a drawn mask's profile is looked at.
     profile: tuple[float, ...] = (2.0, 5.0)
 

@@ -82,21 +82,26 @@ class Refiner:
         done: list[Candidate] = []
         for found, said in begun:
             log = max((c.log for c in done), default=-np.inf if best is None else best)
-            made = self._refined(found, said, start, log - RULES.hopeless)
+            made = self._refined(found, said, start, log, [c.found.camera for c in done])
             done += [] if made is None else [made]
         return done
 
     def _refined(
-        self, found: Solution, said: Account | None, start: Camera | None, least: float
+        self,
+        found: Solution,
+        said: Account | None,
+        start: Camera | None,
+        best: float,
+        known: list[Camera],
     ) -> Candidate | None:
         begin = found.camera
         if said is None:  # the mask's edge tells nothing yet
             found, said = self._least_squares(self._near(RULES.times), found)
         # (The account allows for an error of the camera; for what is left to descend, too.)
-        elif said.log < least - RULES.hopeless:
+        elif said.log < best - 3 * RULES.hopeless:
             return None
         if said is not None:
-            likelier = self._likelier(found, said, least)
+            likelier = self._likelier(found, said, best - RULES.hopeless, known)
             if likelier is None:
                 return None
             found, said = likelier
@@ -115,10 +120,11 @@ class Refiner:
         return Candidate(found, whole, said, near, wide, covariance)
 
     def _likelier(
-        self, begin: Solution, said: Account, least: float
+        self, begin: Solution, said: Account, least: float, known: list[Camera]
     ) -> tuple[Solution, Account] | None:
         """The end of generalised least squares, and its account; where they do not come to rest, or
-        at an unlikelier camera, those given, not `ended`; None below the logarithm `least`."""
+        at an unlikelier camera, those given, not `ended`; None below the logarithm `least`, or if
+        they lead to a camera that is `known`."""
         camera, now, share, solver = begin.camera, said, 1.0, self.solver
         for _ in range(min(STEPS, solver.max_steps)):
             share = min(share, RULES.smooth * self.edge.size / max(now.shift, 1e-9))
@@ -126,7 +132,8 @@ class Refiner:
             after = self.account(camera)
             if after is None or after.log < said.log - RULES.times**2 / 2:
                 break
-            if after.log < least:
+            back = any(angle(camera, other) < RULES.same for other in known)
+            if after.log < least or (back and now.is_drawn):
                 return None
             if share * now.far < STILL:
                 return begin._replace(camera=camera, ended=True), after
