@@ -249,8 +249,7 @@ def _fit(
         free, near, edge = free_about(solver, ended[0], places), solver, None
     else:
         # 2. Refine each on the part of the mask's edge that it believes.
-        known = settings.differentiable or settings.prior or settings.bounds
-        refiner = Refiner.on(solver, mask, reach, plainly=bool(known))
+        refiner = Refiner.on(solver, mask, reach, settings.differentiable)
         alike = [places.best, *places.others]
         found = refiner.candidates([*alike, *places.rivals], start)
         best, *_ = kept = likeliest(found, min(len(alike), len(found)), start)

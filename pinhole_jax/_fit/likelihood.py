@@ -8,7 +8,7 @@ each of its ends log N, since it may be at any block. Outline that the mask has 
 that nothing hides, costs as much.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -43,6 +43,15 @@ class Account:
     move: np.ndarray
     shift: float
     covariance: np.ndarray
+
+    def knowing(self, off: np.ndarray, by_move: np.ndarray) -> "Account":
+        """The account with a prior: how many standard deviations parameters are off (k,), and by
+        the moves (k, n)."""
+        precise = np.linalg.pinv(self.covariance)
+        covariance = np.linalg.inv(precise + by_move.T @ by_move)
+        move = covariance @ (precise @ self.move - by_move.T @ off)
+        log = self.log - float(off @ off) / 2
+        return replace(self, log=log, move=move, covariance=covariance)
 
     @property
     def far(self) -> float:

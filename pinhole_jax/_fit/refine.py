@@ -161,7 +161,10 @@ class Refiner:
         """The account of the mask's edge by a camera."""
         noise = quantisation(self.solver.kind.variance, self.mask.usual_weight)
         outline = outline_seen(self.solver, camera, self.solver.finest)
-        return account(self.edge, outline, noise, roughly)
+        said = account(self.edge, outline, noise, roughly)
+        if said is None or self.solver.prior is None:
+            return said
+        return said.knowing(*self.solver.known(camera))
 
     def is_free(self, candidate: Candidate, free: Free) -> bool:
         """Whether cameras a rad away in a free direction, to one side at least, are as likely."""

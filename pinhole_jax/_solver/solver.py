@@ -188,6 +188,14 @@ class Solver:
         look = lambda camera: self.look(camera, level)
         return in_threads(look, cameras, lambda camera: self.program(camera, level))
 
+    def known(self, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+        """How many standard deviations a prior's parameters are off (k,), and by moves (k, n)."""
+        prior = self._weighed_prior()
+        assert prior is not None
+        off = np.asarray(prior.residuals(camera, self.freed), float)
+        by_move = self.look(camera, self.finest).known[-len(off) :]
+        return off / float(prior.noise), by_move / float(prior.noise)
+
     def _weighs_prior(self) -> bool:
         return self.prior is not None and self.others is None
 
