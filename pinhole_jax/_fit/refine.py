@@ -167,11 +167,21 @@ class Refiner:
         return said.knowing(*self.solver.known(camera))
 
     def is_free(self, candidate: Candidate, free: Free) -> bool:
-        """Whether cameras a rad away in a free direction, to one side at least, are as likely."""
-        near, least = candidate.near, candidate.log - RULES.times**2 / 2
-        turned = (near.step(candidate.found.camera, near.finest, x * free.move) for x in (1, -1))
-        logs = [-np.inf if said is None else said.log for said in map(self.account, turned)]
-        return bool(np.isinf(free.ahead) and max(logs) >= least)
+        """Whether a camera that is as likely lies far away in a direction that squares call free,
+        to one side at least."""
+        near, begin = candidate.near, candidate.found
+        least = candidate.log - RULES.times**2 / 2
+        for far in (
+            x * np.clip(y, -1, 1) for x in (0.5, 1) for y in (free.ahead, -free.behind) if y
+        ):
+            turned = begin._replace(camera=near.step(begin.camera, near.finest, far * free.move))
+            said = self.account(turned.camera)
+            ended = None if said is None else self._likelier(turned, said, -np.inf, [])
+            if ended is not None:
+                found, said = ended
+                if said.log >= least and angle(found.camera, begin.camera) > abs(far) / 2:
+                    return True
+        return False
 
     def is_hidden(self, candidate: Candidate) -> bool:
         """Whether something may stand before the object that a camera sees."""
