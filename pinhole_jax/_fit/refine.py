@@ -171,9 +171,8 @@ class Refiner:
         to one side at least."""
         near, begin = candidate.near, candidate.found
         least = candidate.log - RULES.times**2 / 2
-        for far in (
-            x * np.clip(y, -1, 1) for x in (0.5, 1) for y in (free.ahead, -free.behind) if y
-        ):
+        ends = np.clip([free.ahead, -free.behind], -1, 1)
+        for far in (*ends / 2, *ends):
             turned = begin._replace(camera=near.step(begin.camera, near.finest, far * free.move))
             said = self.account(turned.camera)
             ended = None if said is None else self._likelier(turned, said, -np.inf, [])
