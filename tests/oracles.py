@@ -1,6 +1,7 @@
 """Independent answers: polygon union by shapely, central differences. Nothing of pinhole_jax but
 `project`, which `test_rays` checks by hand."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -187,6 +188,16 @@ def turned(camera: pj.Camera, axis, degrees: float, distance: float = 1.0, focal
 def usual_camera(W: int = 96, H: int = 80) -> pj.Camera:
     """Return the camera that most tests look through: askew, 5 from a shape of size 1."""
     return pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, W, H)
+
+
+def filled(vertices, faces, room: int) -> pj.Mesh:
+    """Return the mesh with arrays of one size, so that all meshes share one program; what is added
+    shows nowhere."""
+    pad = lambda x, row: np.concatenate([x, np.repeat(row, room - len(x), 0)])
+    mesh = pj.Mesh(pad(vertices, vertices[:1]), pad(faces, np.zeros((1, 3), int)))
+    edges = lambda m: (m.edge_vertices, m.edge_faces)
+    fill = lambda x: jnp.pad(x, ((0, 2 * room - x.shape[0]), (0, 0)))
+    return eqx.tree_at(edges, mesh, tuple(map(fill, edges(mesh))))
 
 
 def random_camera(random: np.random.Generator, W: int, H: int, distance: float = 5.0):

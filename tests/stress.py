@@ -11,12 +11,10 @@ from collections.abc import Callable, Iterator
 from decimal import Decimal
 from typing import NamedTuple
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 import shapely
 import trimesh
-from oracles import clipped, sides_of_frame, union_per_pixel
+from oracles import clipped, filled, sides_of_frame, union_per_pixel
 
 import pinhole_jax as pj
 
@@ -272,16 +270,11 @@ def rounded(view: View, dtype: type) -> tuple[pj.Camera, np.ndarray]:
     return pj.Camera(*numbers, *view.size), view.vertices.astype(dtype)
 
 
-def scene_of(view: View, vertices: np.ndarray, room: int = 256) -> pj.Scene:
+def scene_of(view: View, vertices: np.ndarray) -> pj.Scene:
     """Return the scene with arrays of one size, so that all share one program."""
     if view.radius:
         return pj.Scene(spheres=pj.Spheres(vertices, np.full(1, view.radius, vertices.dtype)))
-    pad = lambda x, with_: np.concatenate([x, np.repeat(with_, room - len(x), 0)])
-    mesh = pj.Mesh(pad(vertices, vertices[:1]), pad(view.faces, np.zeros((1, 3), int)))
-    edges = lambda m: (m.edge_vertices, m.edge_faces)
-    fill = lambda x: jnp.pad(x, ((0, 2 * room - x.shape[0]), (0, 0)))
-    mesh = eqx.tree_at(edges, mesh, tuple(map(fill, edges(mesh))))
-    return pj.Scene(mesh=mesh)
+    return pj.Scene(mesh=filled(vertices, view.faces, 256))
 
 
 def decimals(x: np.ndarray) -> np.ndarray:
@@ -339,37 +332,30 @@ def sphere_oracle(camera: pj.Camera, center: np.ndarray, radius: float) -> np.nd
     first = first / (first @ first).sqrt()
     rays = [(1 - sine * sine).sqrt() * axis, sine * first, sine * np.cross(axis, first)]
     frame = extended(np.stack(rays) @ film_matrix(camera).T)  # rows 1, cos, sin
-
-    def on_film(angle):
-        point = frame[0] + np.cos(angle)[..., None] * frame[1] + np.sin(angle)[..., None] * frame[2]
-        slope = np.cos(angle)[..., None] * frame[2] - np.sin(angle)[..., None] * frame[1]
-        xy = point[..., :2] / point[..., 2:]
-        return xy, (slope[..., :2] - xy * slope[..., 2:]) / point[..., 2:]
-
-    cuts = [np.linspace(Exact(0), 2 * np.arccos(Exact(-1)), 65)]
+    turn = 2 * np.arccos(Exact(-1))
+    cuts = [np.linspace(Exact(0), turn, 65)]
     for k, size in enumerate((W, H)):
         c, a, b = frame[:, k, None] - np.arange(size + 1) * frame[:, 2, None]
-        reach = np.hypot(a, b)
-        met = np.abs(c) < reach
-        middle, aside = np.arctan2(b, a)[met], np.arccos((-c / reach)[met])
-        cuts += [(middle + aside) % cuts[0][-1], (middle - aside) % cuts[0][-1]]
+        met = np.abs(c) < np.hypot(a, b)
+        middle, aside = np.arctan2(b, a)[met], np.arccos((-c / np.hypot(a, b))[met])
+        cuts += [(middle + aside) % turn, (middle - aside) % turn]
     cuts = np.unique(np.concatenate(cuts))
     nodes, weights = (x.astype(Exact) / 2 for x in np.polynomial.legendre.leggauss(12))
     width = np.diff(cuts)[:, None]
-    angles = cuts[:-1, None] + width * (nodes + 0.5)
-    xy, slope = on_film(angles)
-    x, y = np.moveaxis(xy, -1, 0)
-    column, row = (np.floor(z[:, 6]).astype(int) for z in (x, y))
-    dy = weights * width * slope[..., 1]
-    image = np.zeros((H, W + 1), Exact)
-    here = (row >= 0) & (row < H) & (column >= 0)
-    own = here & (column < W)
-    np.add.at(image, (row[own], column[own]), np.sum((x - column[:, None]) * dy, axis=1)[own])
-    image = image[:, :W]
-    beyond = np.zeros((H, W + 1), Exact)
-    np.add.at(beyond, (row[here], np.minimum(column, W)[here]), np.sum(dy, axis=1)[here])
-    left = np.cumsum(beyond[:, ::-1], axis=1)[:, ::-1][:, 1:]
-    return np.abs(image + left).astype(float)[::-1]
+    angle = cuts[:-1, None] + width * (nodes + 0.5)
+    cos, sin, one = np.cos(angle), np.sin(angle), np.ones_like(angle)
+    x, y, z = np.moveaxis(np.stack([one, cos, sin], axis=-1) @ frame, -1, 0)
+    _, dy, dz = np.moveaxis(np.stack([0 * one, -sin, cos], axis=-1) @ frame, -1, 0)
+    x, y, dy = x / z, y / z, weights * width * (dy - y / z * dz) / z
+    # A part within a pixel covers what is left of it there, and all pixels farther left. (What is
+    # beyond the film is counted in a column and a row about it.)
+    middle = np.floor(np.stack([y, x])[..., 6]).astype(int)
+    row, column = np.clip(middle, -1, [[H], [W]])
+    own, beyond = np.zeros((2, H + 2, W + 2), Exact)
+    np.add.at(own, (row, column), np.sum((x - column[:, None]) * dy, axis=1))
+    np.add.at(beyond, (row, column), np.sum(dy, axis=1))
+    left = np.cumsum(beyond[:, W::-1], axis=1)[:, ::-1][:, 1:]
+    return np.abs(own[:H, :W] + left[:H]).astype(float)[::-1]
 
 
 def oracle(camera: pj.Camera, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -26,7 +26,6 @@ import numpy as np
 import pytest
 import trimesh
 from chosen import full, long
-from PIL import Image
 from results import degrees
 
 import pinhole_jax as pj
@@ -107,34 +106,19 @@ def slugs(text):
 
 def public_names():
     """Yield each public name, of modules each one that it shows, with what it is."""
+    package = {pj.fit_many, pj.fit_one}  # `pj.batch` repeats them
     for name, thing in vars(pj._public).items():
         if name.startswith("_"):
             continue
         if not inspect.ismodule(thing):
             yield name, thing
-        elif (
-            thing.__name__ == f"pinhole_jax.{name}" and name != "testing"
-        ):  # (whose are the package's)
-            yield from (x for x in of_module(name, thing) if x[1] not in of_the_package())
-
-
-def of_the_package():
-    """The package's own names that `pj.batch` repeats: the package documents them."""
-    return {pj.fit_many, pj.fit_one}
-
-
-def of_module(name, module):
-    """Yield the functions and classes of a module, or of the submodules that it re-exports."""
-    home = module.__name__
-    for part, thing in vars(module).items():
-        made = getattr(thing, "__module__", "")
-        own = made.startswith((home, "pinhole_jax.show", "pinhole_jax.formats.native"))
-        if (
-            (inspect.isfunction(thing) or inspect.isclass(thing))
-            and own
-            and not part.startswith("_")
-        ):
-            yield f"{name}.{part}", thing
+        elif (home := thing.__name__) == f"pinhole_jax.{name}" != "pinhole_jax.testing":
+            homes = home, "pinhole_jax.show", "pinhole_jax.formats.native"
+            for part, own in vars(thing).items():
+                made = getattr(own, "__module__", "").startswith(homes)
+                is_code = inspect.isfunction(own) or inspect.isclass(own)
+                if is_code and made and part[0] != "_" and own not in package:
+                    yield f"{name}.{part}", own
 
 
 def annotations_of(thing):
@@ -262,24 +246,17 @@ FOUND = {
 }
 
 
-def write_pictures(mask_path, photo_path, camera):
-    """Write what the camera sees: a mask, and a photo before a white background."""
-    coverage = np.asarray(pj.silhouette(camera, pj.Scene(mesh=shapes.bumpy())))[..., None]
-    Image.fromarray(np.uint8(255 * coverage[..., 0] + 0.5)).save(mask_path)
-    photo = 255 * (1 - coverage) + np.array([150, 60, 20]) * coverage
-    Image.fromarray(np.uint8(photo + 0.5)).save(photo_path)
-
-
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """A working folder with all files that the commands read."""
     monkeypatch.chdir(tmp_path)
     # What the command sets for its own process would change those of the other tests.
     monkeypatch.setattr(command, "_set_up_jax", lambda *_, **__: None)
-    mesh = shapes.bumpy()
+    mesh, camera = shapes.bumpy(), Camera([0.3, 1, 5], np.deg2rad(34.4))
     trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(FILES["MESH"])
-    camera = Camera([0.3, 1, 5], np.deg2rad(34.4))
-    write_pictures(FILES["MASK"], FILES["PHOTO"], camera)
+    coverage = np.asarray(pj.silhouette(camera, pj.Scene(mesh=mesh)))
+    io.save_image(FILES["MASK"], coverage)
+    io.save_image(FILES["PHOTO"], 1 - coverage[..., None] * np.array([0.4, 0.75, 0.9]))
     io.save_camera("CAMERA.json", camera)
     io.save_camera("START.json", Camera([0.5, 1.2, 5], 0.62))
     return tmp_path
@@ -314,24 +291,21 @@ SOON = [*SAID][:3]
 def test_site_builds_and_shows_its_results(tmp_path, pages):
     pytest.importorskip("properdocs")
     pytest.importorskip("mkdocstrings_handlers.python")
-    cache = ROOT / ".pytest_cache" / "of_the_site"
+    site, cache = tmp_path / "site", ROOT / ".pytest_cache" / "of_the_site"
     environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1", "XDG_CACHE_HOME": str(cache)}
     environment.pop("JAX_COMPILATION_CACHE_DIR", None)
     environment["DRAFT"] = ",".join(f"{page}.md" for page in pages) if pages == SOON else ""
-    build = [sys.executable, "-m", "properdocs", "build", "--site-dir", str(tmp_path / "site")]
+    build = [sys.executable, "-m", "properdocs", "build", "--site-dir", str(site)]
     done = subprocess.run(build, cwd=ROOT, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 
     for page in pages:
-        shown = (tmp_path / "site" / page / "index.html").read_text(encoding="utf-8")
+        shown = (site / page / "index.html").read_text(encoding="utf-8")
         assert re.search(SAID[page], shown), page
-
-    for path in (tmp_path / "site").rglob("*.html"):  # nothing is loaded from elsewhere
-        loads = re.findall(
-            r'<(?:script|img|link)[^>]* (?:src|href)="(https?:[^"]*)"', path.read_text()
-        )
-        assert loads == [], path
-    for path in (tmp_path / "site").rglob("*.ipynb"):
+    loaded = r'<(?:script|img|link)[^>]* (?:src|href)="https?:[^"]*"'
+    for path in site.rglob("*.html"):  # nothing is loaded from elsewhere
+        assert not re.search(loaded, path.read_text()), path
+    for path in site.rglob("*.ipynb"):
         cells = json.loads(path.read_text())["cells"]
         assert any(cell.get("outputs") for cell in cells), path
 
@@ -345,7 +319,6 @@ def hooks():
 def test_page_shows_the_output_of_its_code(hooks, another_cache):
     page = "# A\n\n```python\nx = 2\nprint(x, 'printed')\n```\n\nprose\n\n```python\nx + 40\n```\n"
     cells = hooks.run(page, "a.md")
-    assert [cell.language for cell in cells] == ["", "python", "", "python", ""]
     shown = hooks.as_page(cells, "a")
     assert re.findall(r"```\{ \.text \.output[^}]*\}\n(.*)\n```", shown) == ["2 printed", "42"]
     notebook = json.loads(hooks.as_notebook(cells))["cells"]
@@ -394,13 +367,12 @@ def test_install_lines_name_what_there_is():
     assert len(lines) == 2
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())
     extras, groups = settings["project"]["optional-dependencies"], settings["dependency-groups"]
-    for line in commands():
-        for named in re.findall(r"'\.\[([\w,]+)\]'", line):
-            assert set(named.split(",")) <= set(extras)
-        assert set(re.findall(r"--group (\w+)", line)) <= set(groups)
-    scripts = re.findall(r"\.venv/bin/python (\S+\.py)", "\n".join(lines))
-    assert len(scripts) == 1
-    assert (ROOT / scripts[0]).is_file()
+    text = "\n".join(commands())
+    named = ",".join(re.findall(r"'\.\[([\w,]+)\]'", text)).split(",")
+    assert set(named) <= set(extras)
+    assert set(re.findall(r"--group (\w+)", text)) <= set(groups)
+    (script,) = re.findall(r"\.venv/bin/python (\S+\.py)", "\n".join(lines))
+    assert (ROOT / script).is_file()
     table = TEXTS["docs/how-to/set-up.md"].partition("| extra |")[2].partition("\n\n")[0]
     assert set(re.findall(r"^\| `(\w+)` \|", table, re.M)) == set(extras)
 
@@ -457,13 +429,8 @@ def test_version_stands_in_one_place():
 
 
 def test_map_lists_each_module_once():
-    page = TEXTS["docs/development/index.md"]
-    (text,) = (block for block in blocks("text", page) if block.startswith("__main__"))
-    columns = [re.split(r" {3,}", line)[0] for line in text.splitlines()]
-    mapped = " ".join(columns).split()
-    modules = {
-        path.stem
-        for path in (ROOT / "pinhole_jax").iterdir()
-        if path.suffix == ".py" or (path / "__init__.py").exists()
-    }
-    assert sorted(mapped) == sorted(modules - {"__init__"})
+    (text,) = (x for x in blocks("text", TEXTS["docs/development/index.md"]) if x[:8] == "__main__")
+    mapped = re.findall(r"(?m)^(\w+(?: {1,2}\w+)*)(?: {3,}|$)", text)
+    modules = {path.parent.stem for path in (ROOT / "pinhole_jax").glob("*/__init__.py")}
+    modules |= {path.stem for path in (ROOT / "pinhole_jax").glob("*.py")}
+    assert sorted(" ".join(mapped).split()) == sorted(modules - {"__init__"})

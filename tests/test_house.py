@@ -60,58 +60,35 @@ CPP_TOKENS = re.compile(
 #: Code that is another project's.
 VENDORED = "pinhole_jax/_native/xla/"
 
-#: Modules of JAX that it does not promise to keep.
-PRIVATE_MODULES = ("jax.extend", "jax.interpreters", "jax._src", "jax.experimental.xla_metadata")
-OWN = ("pinhole_jax", "_common", "_peers", "_plain_loop", "_scenes")
-
-PHRASES = (
-    "is told",
-    "is said",
-    "of what",
-    "of which",
-    "so many",
-    "at hand",
-    "in words",
-    "goes apart",
+#: Parts of JAX that it does not promise to keep, and what other packages hide.
+PRIVATE_MODULES = re.compile(
+    r"jax\.(?:extend|interpreters|_src|config|experimental(?:\.| import )xla_metadata)\b"
+    r"|from jax import [^\n]*\b(?:extend|interpreters|config)\b|compiler_options(?==)|XLA_FLAGS"
+    r"|\bxla_\w+|\b(?:from|import) (?!pinhole_jax\b)\w[\w.]*\._[a-z]\w*"
 )
-#: (`for word in words` is code.)
-NO_LOOP = r"(?<!\bword )(?<!\bwords )(?<!\bw )(?<!\" )"
+
+PHRASES = re.compile(
+    # (`for word in words` is code.)
+    r"(?<!\bword )(?<!\bwords )(?<!\bw )(?<!\" )"
+    r"\b(is told|is said|of what|of which|so many|at hand|in words|goes apart)\b"
+)
 VAGUE = re.compile(r"Return (what|how|whether|that|where|those)\b")
-#: Last words of class names that name no thing. (Those in -ed are found by their ending.)
-NO_NOUNS = {
-    "As",
-    "At",
-    "Begun",
-    "Beside",
-    "Between",
-    "Done",
-    "Drawn",
-    "Found",
-    "Given",
-    "Held",
-    "Here",
-    "Kept",
-    "Known",
-    "Made",
-    "Near",
-    "Next",
-    "Of",
-    "On",
-    "Others",
-    "Said",
-    "Seen",
-    "Shown",
-    "Some",
-    "Still",
-    "Swept",
-    "Taken",
-    "Through",
-    "Together",
-    "Told",
-    "Where",
-}
-NOUNS_IN_ED = {"Bed", "Feed", "Seed", "Shed", "Speed", "Embed"}
-FILLERS = {"one", "of", "at", "some"}
+
+
+#: Last words of names that name no thing.
+NO_NOUN = re.compile(
+    r"(?!Bed|Feed|Seed|Shed|Speed|Embed)(\w+ed|As|At|Begun|Beside|Between|Done|Drawn|Found|Given|"
+    r"Held|Here|Kept|Known|Made|Near|Next|Of|On|Others|Said|Seen|Shown|Some|Still|Swept|Taken|"
+    r"Through|Together|Told|Where)$"
+)
+
+
+@cache
+def definitions(text: str) -> list[Definition]:
+    """A module, and the classes and functions in it."""
+    return [node for node in ast.walk(ast.parse(text)) if isinstance(node, Definition)]
+
+
 #: First words of test names that are no nouns.
 NO_NOUN_FIRST = re.compile(
     r"test_(an?|the|what|it|its|that|this|these|those|one|of|there|they|which|where|how|with|"
@@ -135,32 +112,11 @@ def texts() -> Texts:
     }
 
 
-def syntax(files: Texts, folder: str = "") -> Iterator[tuple[str, ast.Module]]:
-    """The syntax trees of the Python files below a folder, each with its path."""
-    for path, text in files.items():
-        if path.endswith(".py") and path.startswith(folder):
-            yield path, parsed(text)
-
-
-@cache
-def parsed(text: str) -> ast.Module:
-    """The syntax tree of a file."""
-    return ast.parse(text)
-
-
-@cache
-def definitions(tree: ast.AST) -> list[Definition]:
-    """A module and the classes and functions in it. (Expressions, which hold none, are skipped.)"""
-    own = [tree] if isinstance(tree, Definition) else []
-    fields = ("body", "orelse", "finalbody", "handlers", "cases")
-    below = [child for field in fields for child in getattr(tree, field, ())]
-    return own + [found for child in below for found in definitions(child)]
-
-
 def defined(files: Texts, folder: str = "") -> Iterator[tuple[str, Definition]]:
     """All modules, classes and functions below a folder, each with the path of its file."""
-    for path, tree in syntax(files, folder):
-        yield from ((path, node) for node in definitions(tree))
+    for path, text in files.items():
+        if path.endswith(".py") and path.startswith(folder):
+            yield from ((path, node) for node in definitions(text))
 
 
 def area(path: str) -> str:
@@ -231,61 +187,10 @@ def files_of_one_name(files: Texts) -> Figures:
     return twice(file_names(files))
 
 
-def dotted(node: ast.AST) -> str:
-    """The dotted name that an expression is; empty if it is something else."""
-    if isinstance(node, ast.Name):
-        return node.id
-    inner = dotted(node.value) if isinstance(node, ast.Attribute) else ""
-    return f"{inner}.{node.attr}" if inner and isinstance(node, ast.Attribute) else ""
-
-
-def names_used(node: ast.AST) -> list[str]:
-    """The modules that a node imports or mentions, in dotted form."""
-    if isinstance(node, ast.Import):
-        return [alias.name for alias in node.names]
-    if isinstance(node, ast.ImportFrom) and not node.level:
-        return [f"{node.module}.{alias.name}" for alias in node.names]
-    if isinstance(node, ast.Attribute):
-        return [dotted(node)]
-    if isinstance(node, ast.Constant) and isinstance(node.value, str):
-        return [node.value]
-    return []
-
-
-def door(name: str) -> str:
-    """The private door that a dotted name or a string leads through; empty if there is none."""
-    within = [m for m in PRIVATE_MODULES if name == m or name.startswith(f"{m}.")]
-    if within:
-        return within[0]
-    if name == "jax.config" or name.startswith("jax.config."):
-        return "jax.config"
-    return "XLA's flags" if re.match(r"-*xla_|XLA_FLAGS", name) else ""
-
-
-def private_import(node: ast.AST) -> str:
-    """The module of another package, private by its underscore, that a node imports."""
-    if not isinstance(node, ast.Import | ast.ImportFrom) or getattr(node, "level", 0):
-        return ""
-    for name in names_used(node):
-        package, *inner = name.split(".")
-        hidden = [part for part in inner if part[0] == "_" and part[:2] != "__"]
-        if hidden and package not in OWN:
-            return f"{package}'s {hidden[0]}"
-    return ""
-
-
 def doors(files: Texts) -> Figures:
     """Files of the package with the private doors that they go through."""
-    found = set()
-    trees = syntax(files, "pinhole_jax/")
-    for path, node in ((path, node) for path, tree in trees for node in ast.walk(tree)):
-        through = {door(name) for name in names_used(node)}
-        if isinstance(node, ast.keyword) and node.arg == "compiler_options":
-            through.add("compiler options")
-        if not any(through):
-            through.add(private_import(node))
-        found |= {f"{path}: {name}" for name in through if name}
-    return dict.fromkeys(found, 1)
+    python = [path for path in files if re.match(r"pinhole_jax/.*\.py$", path)]
+    return {f"{path}: {x}": 1 for path in python for x in PRIVATE_MODULES.findall(files[path])}
 
 
 def line_count(function: Function) -> int:
@@ -318,46 +223,34 @@ def flat(text: str) -> str:
 
 def phrases(files: Texts) -> Figures:
     """Banned phrases, by part of the project. (This file lists them.)"""
-    counts = Counter[str]()
-    for path, text in files.items():
-        if path == "tests/test_house.py":
-            continue
-        prose = flat(text)
-        for phrase in PHRASES:
-            number = len(re.findall(rf"{NO_LOOP}\b{phrase}\b", prose))
-            counts[f"{area(path)}: {phrase}"] += number
-    return {name: count for name, count in counts.items() if count}
+    return Counter(
+        f"{area(path)}: {phrase}"
+        for path, text in files.items()
+        if path != "tests/test_house.py"
+        for phrase in PHRASES.findall(flat(text))
+    )
 
 
 def vague_docstrings(files: Texts) -> Figures:
     """Docstrings that begin with `Return what`, `Return whether` and the like."""
-    counts = Counter[str]()
-    for path, node in defined(files):
-        match = VAGUE.match(ast.get_docstring(node) or "")
-        if match:
-            counts[f"{area(path)}: {match.group()}"] += 1
-    return counts
-
-
-def names_no_thing(name: str) -> bool:
-    """Whether a class name or file name ends in a participle, a preposition or the like."""
-    words = re.findall(r"[A-Z][a-z]*", name) or [name.split("_")[-1].title()]
-    participle = words[-1].endswith("ed") and words[-1] not in NOUNS_IN_ED
-    return participle or words[-1] in NO_NOUNS
+    found = ((path, VAGUE.match(ast.get_docstring(node) or "")) for path, node in defined(files))
+    return Counter(f"{area(path)}: {match.group()}" for path, match in found if match)
 
 
 def names_of_no_thing(files: Texts) -> Figures:
     """Class names and file names that are no nouns."""
-    names = class_names(files) + [f"{name}.py" for name in file_names(files)]
-    return Counter(name for name in names if names_no_thing(name.removesuffix(".py")))
+    ends = {name: re.split("(?=[A-Z])", name)[-1] for name in class_names(files)}
+    ends |= {f"{name}.py": name.split("_")[-1].title() for name in file_names(files)}
+    return dict.fromkeys((name for name, end in ends.items() if NO_NOUN.match(end)), 1)
 
 
 def filler_functions(files: Texts) -> Figures:
     """Functions called `one`, `of`, `at` or `some`."""
+    called = ((path, node.name) for path, node in functions(files))
     return Counter(
-        f"{area(path)}: {node.name}"
-        for path, node in functions(files)
-        if node.name.strip("_") in FILLERS
+        f"{area(path)}: {name}"
+        for path, name in called
+        if re.fullmatch("_*(one|of|at|some)_*", name)
     )
 
 
@@ -469,22 +362,17 @@ def test_promises_name_tests_that_exist():
 
 def test_wheel_is_as_small_and_imports_as_fast_as_its_page_says():
     page = texts()["docs/how-to/set-up.md"]
-    megabytes, seconds = (
-        float(re.search(words, page)[1])
-        for words in (r"wheel is ([\d.]+) MB", r"`import pinhole_jax` takes ([\d.]+) s")
-    )
-    sources = [
-        path.read_bytes()
-        for path in (ROOT / "pinhole_jax").rglob("*.*")
-        if path.is_file() and path.suffix not in {*CPP, ".pyc", ".so", ".dylib", ".dll"}
-    ]
+    shown = re.search(r"wheel is ([\d.]+) MB.*`import pinhole_jax` takes ([\d.]+) s", page, re.S)
+    megabytes, seconds = map(float, shown.groups())
+    sources = [path for path in (ROOT / "pinhole_jax").rglob("*.*") if path.is_file()]
+    left_out = {*CPP, ".pyc", ".so", ".dylib", ".dll"}
+    kept = [path.read_bytes() for path in sources if path.suffix not in left_out]
     library = 0.2  # MB, packed; `nox -s wheel` weighs the whole wheel
-    packed = sum(len(zlib.compress(source)) for source in sources) / 1e6 + library
+    packed = sum(len(zlib.compress(source)) for source in kept) / 1e6 + library
     assert 0.6 * megabytes < packed < 1.1 * megabytes
 
     code = (
-        "import time; begin = time.process_time(); import pinhole_jax;"
-        "print(time.process_time() - begin)"
+        "import time; t = time.process_time(); import pinhole_jax; print(time.process_time() - t)"
     )
     took = [float(subprocess.check_output([sys.executable, "-c", code])) for _ in range(3)]
     assert min(took) < 2 * seconds  # (a machine may be half as fast)
@@ -511,36 +399,26 @@ PATH, CPP_PATH, TEST = f"{FIT}/a.py", "x/a.cc", f"{TESTS}/a.py"
         (tokens, PATH, CODE, {FIT: 8}),
         (tokens, PATH, "x = [1,\n     2]\n\n# no more\n", {FIT: 7}),
         (tokens, PATH, "'''A docstring\n\nof two lines.'''\n", {FIT: 0}),
-        (tokens, PATH, "x = 'no docstring'\n", {FIT: 3}),
         (tokens, PATH, NESTED, {FIT: 3}),
         (tokens, "a.md", CODE, {}),
-        (tokens, CPP_PATH, "// Why.\n/* And\nhow. */\n", {"x: C++": 0}),
         (tokens, CPP_PATH, "auto x = a->b::c(1.5e-3, 'x') <<= 2; // y", {"x: C++": 16}),
-        (tokens, CPP_PATH, 'x = "a \\" // b" R"(c "d" // )";', {"x: C++": 5}),
-        (tokens, CPP_PATH, "#include <cmath>\nfor (;; ++i) {\n}\n", {"x: C++": 14}),
+        (tokens, CPP_PATH, '/* How. */ x = "a \\" // b" R"(c "d" // )";', {"x: C++": 5}),
         (tokens, CPP_PATH, "x = 1'000'000 + .5e+3 && !y <=> z;", {"x: C++": 11}),
         (classes_of_one_name, PATH, "class A: ...\nclass B: ...\nclass _A: ...", {"A": 2}),
         (classes_of_one_name, TEST, "class A: ...\nclass A: ...", {}),
-        (long_functions, TEST, f"def f():\n{BODY}", {f"{TEST}: f": 61}),
         (long_functions, TEST, f"class A:\n async def f():\n{BODY}", {f"{TEST}: f": 61}),
         (long_functions, TEST, DOCSTRING, {}),
         (phrases, TEST, "# It is\n# told.", {"tests: is told": 1}),
-        (phrases, TEST, "x = ('of '\n     'what')", {"tests: of what": 1}),
         (phrases, TEST, 'x = ("so "\n     f"many")', {"tests: so many": 1}),
         (phrases, "a/b.md", "Tis told,\n> of\n> which: tolder", {"docs: of which": 1}),
-        (phrases, TEST, "this told, of whatever, in wordsworth", {}),
-        (phrases, TEST, "[word for word in words]", {}),
-        (vague_docstrings, TEST, '"Return how it is."', {"tests: Return how": 1}),
+        (phrases, TEST, "[word for word in words] # this told, of whatever, in wordsworth", {}),
         (vague_docstrings, TEST, 'def f(): "Return whether."', {"tests: Return whether": 1}),
         (vague_docstrings, TEST, 'def f(): "Return thatch."', {}),
-        (names_of_no_thing, PATH, "class _PointsSeen: ...", {"PointsSeen": 1}),
+        (names_of_no_thing, PATH, "class _PointsSeen: ...\nclass Speed: ...", {"PointsSeen": 1}),
         (names_of_no_thing, f"{PACKAGE}/cut_and_turned.py", "", {"cut_and_turned.py": 1}),
-        (names_of_no_thing, PATH, "class FixedPoint: ...\nclass Speed: ...", {}),
-        (filler_functions, TEST, "class A:\n def of(): ...", {"tests: of": 1}),
         (filler_functions, TEST, "def office(): ...\ndef _one(): ...", {"tests: _one": 1}),
         (names_without_a_noun_first, TEST, "def test_a_hole(): ...", {"test_a_hole": 1}),
         (names_without_a_noun_first, TEST, "def test_itself(): ...\ndef the_hole(): ...", {}),
-        (names_without_a_noun_first, PATH, "def test_it_is(): ...", {}),
     ],
 )
 def test_rule_counts_what_breaks_it(count, path, text, names):
@@ -556,29 +434,29 @@ def test_file_names_that_stand_twice_are_counted():
     ("text", "name"),
     [
         ("from jax.extend.core import Primitive", "jax.extend"),
-        ("from jax import extend", "jax.extend"),
-        ("from jax.interpreters import mlir", "jax.interpreters"),
-        ("import jax\nx = jax.interpreters.ad.jvp", "jax.interpreters"),
-        ("import jax._src.core as core", "jax._src"),
+        ("from jax import extend", "from jax import extend"),
+        ("x = jax.interpreters.ad.jvp", "jax.interpreters"),
         ("import_module('jax._src.core')", "jax._src"),
-        ("from jax.experimental import xla_metadata", "jax.experimental.xla_metadata"),
-        ("jax.jit(f, compiler_options={})", "compiler options"),
-        ("OPTIONS = {'xla_cpu_small_call': 1}", "XLA's flags"),
-        ("os.environ['XLA_FLAGS'] = '--xla_dump_to='", "XLA's flags"),
+        ("from jax.experimental import xla_metadata", "jax.experimental import xla_metadata"),
+        ("jax.jit(f, compiler_options={})", "compiler_options"),
+        ("OPTIONS = {'xla_cpu_small_call': 1}", "xla_cpu_small_call"),
+        ("os.environ['XLA_FLAGS'] = '--dump_to='", "XLA_FLAGS"),
         ("jax.config.update('jax_enable_x64', True)", "jax.config"),
-        ("from jax import config", "jax.config"),
-        ("from numpy._core import umath", "numpy's _core"),
-        ("import optimistix._misc", "optimistix's _misc"),
-        ("from ._src import x", ""),
-        ("from pinhole_jax._fit import result", ""),
-        ("from jax.experimental import pallas", ""),
-        ("import jax\nx = jax.extended", ""),
-        ("from __future__ import annotations", ""),
-        ("x = camera.config", ""),
+        ("from numpy._core import umath", "from numpy._core"),
     ],
 )
 def test_private_doors_are_found(text, name):
-    assert doors({PATH: text, TEST: text}) == ({f"{PATH}: {name}": 1} if name else {})
+    assert doors({PATH: text, TEST: text}) == {f"{PATH}: {name}": 1}
+
+
+def test_public_parts_are_no_private_doors():
+    text = """from ._src import x
+from pinhole_jax._fit import result
+from jax.experimental import pallas
+from __future__ import annotations
+x = camera.config + jax.extended
+"""
+    assert doors({PATH: text}) == {}
 
 
 def test_broken_promises_are_found():
@@ -594,14 +472,12 @@ def test_broken_promises_are_found():
         (101, 100, "a: 101, the ceiling is 100. Take it back"),
         (1, 0, "a: 1, the ceiling is 0. Take it back"),
         (100, 103, "a: 100, the ceiling is still 103. Well done"),
-        (49, 50, "a: 49, the ceiling is still 50. Well done"),
         (0, 1, "a: 0, the ceiling is still 1. Well done"),
     ],
 )
 def test_ceilings_neither_give_nor_lag(figure, ceiling, message):
-    (complaint,) = complaints({"a": figure} if figure else {}, {"a": ceiling} if ceiling else {})
+    (complaint,) = complaints({"a": figure, "b": 7}, {"a": ceiling, "b": 7})
     assert complaint.startswith(message)
-    assert not complaints({"a": 100, "b": 7}, {"a": 102, "b": 7})
 
 
 def test_update_only_lowers_ceilings_unless_they_may_grow():

@@ -1,14 +1,12 @@
 """Hits against Embree (an independent tracer, in float32) and by hand."""
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
 from chosen import full
 from numpy.testing import assert_allclose, assert_array_equal
-from oracles import central_difference, usual_camera
+from oracles import usual_camera
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
@@ -107,59 +105,6 @@ def test_small_spheres_far_away_keep_their_digits_in_float32(distance):
     scene = pj.Scene(spheres=pj.Spheres(np.zeros((1, 3), np.float32), np.ones(1, np.float32)))
     exact = distance - np.sqrt(0.75)
     assert_allclose(pj.trace(scene, rays).t, exact, rtol=2e-7)
-
-
-@pytest.mark.long
-def test_derivatives_of_hits_equal_central_differences():
-    """By rays and scene, of distance, barycentric coordinates and normal."""
-    scene = pj.Scene(mesh=shapes.bumpy(1), spheres=pj.Spheres([[1.3, 0.9, 0]], [0.4]))
-    rays = pj.camera_rays(CAMERA)
-    hit, random = pj.trace(scene, rays), np.random.default_rng(0)
-    weights = jax.tree.map(lambda x: jnp.asarray(random.normal(size=x.shape)), hit)
-    where = lambda s: (s.mesh.vertices, s.spheres.centers, s.spheres.radii)
-    values = [*rays, *where(scene)]
-
-    def loss(*values):
-        moved = eqx.tree_at(where, scene, values[2:])
-        found = pj.trace(moved, pj.Rays(*values[:2]))
-        same = (found.primitive == hit.primitive) & (hit.primitive >= 0)
-        parts = zip((found.t, found.barycentric, found.normal), (0, 2, 3), strict=True)
-        kept = lambda x: jnp.where(same if x.ndim == 2 else same[..., None], x, 0)
-        return sum(jnp.sum(weights[k] * kept(x)) for x, k in parts)
-
-    both = jax.jit(jax.value_and_grad(loss, argnums=tuple(range(5))))
-    for k, slope in enumerate(both(*values)[1]):
-        way = random.normal(size=slope.shape)
-        others = lambda s, k=k, way=way: [*values[:k], values[k] + s * way, *values[k + 1 :]]
-        wanted = central_difference(lambda s, others=others: both(*others(s))[0], 0.0, 1e-7)
-        assert np.all(np.isfinite(slope))
-        assert_allclose(np.sum(slope * way), wanted, rtol=2e-5, atol=2e-5)
-
-
-@pytest.mark.long
-def test_shapes_follow_the_rays_and_no_rays_give_no_hits():
-    scene = pj.Scene(mesh=shapes.bumpy(1))
-    hit = pj.trace(scene, pj.Rays(jnp.zeros(3), jnp.zeros((2, 0, 3))))
-    assert hit.t.shape == (2, 0)
-    batched = jax.vmap(lambda o: pj.trace(scene, pj.Rays(o, jnp.array([0.0, 0, -1]))).t)
-    assert np.all(np.isfinite(batched(jnp.array([[0.0, 0, 4], [0.1, 0, 5]]))))
-    assert (
-        pj.trace(pj.Scene(), pj.Rays(jnp.zeros(3), jnp.ones((4, 3)))).primitive.tolist() == [-1] * 4
-    )
-
-
-@pytest.mark.long
-def test_camera_stands_for_its_rays():
-    scene = pj.Scene(mesh=shapes.bumpy(1), spheres=pj.Spheres([[1.1, 0.9, 0.2]], [0.4]))
-    lens = pj.Lens([11.0, 7.0], aspect=1.1)
-    for given in (None, lens, pj.Lens([11.0, 7.0], distortion=pj.BrownConrady(k1=-0.1))):
-        camera = pj.Camera([0.3, 1, 5], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 22, 18, given)
-        seen, traced = pj.trace(scene, camera), pj.trace(scene, pj.camera_rays(camera))
-        assert seen.t.shape == (18, 22)
-        assert {int(k) for k in np.unique(seen.primitive)} > {-1, 80}
-        assert_array_equal(seen.primitive, traced.primitive)
-        assert_allclose(seen.t, traced.t, rtol=1e-13)
-        assert_array_equal(pj.occluded(scene, camera), np.isfinite(seen.t))
 
 
 def test_unknown_search_is_refused():

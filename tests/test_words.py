@@ -92,16 +92,15 @@ def test_rotations_have_values_and_sigmas():
 
 
 def test_displaced_camera_is_a_step_of_each_parameter_away():
-    camera = pj.Camera([0.0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, W=96, H=80)
-    names = ("rotation_b2", "e_x", "phi")
-    fit = fit_at(camera, np.diag([1e-4, 0.04, 9e-4]), names)
-    moved = fit.displaced([0.01, 0.2, 0.03])
-    angle, shift = pj.pose_error(moved, camera)
-    assert float(angle) == pytest.approx(0.01)
-    assert float(shift) == pytest.approx(0.2)
-    assert float(moved.phi) == pytest.approx(0.63)
+    lens = pj.Lens([40, 30], 1.1)
+    camera = pj.Camera([0.0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, W=96, H=80, lens=lens)
+    names = ("rotation_b2", "e_x", "phi", "principal_x", "principal_y", "aspect")
+    fit = fit_at(camera, np.diag([1e-4, 0.04, 9e-4, 1, 1, 1e-4]), names)
+    moved = fit.displaced([0.01, 0.2, 0.03, 0.5, 0.25, 0.1])
+    off = [*pj.pose_error(moved, camera), moved.phi, *moved.lens.principal_point, moved.lens.aspect]
+    assert [*map(float, off)] == pytest.approx([0.01, 0.2, 0.63, 40.5, 30.25, 1.2])
     rows = fit.parameters.rows
-    assert [row.name for row in rows] == ["yaw", "e_x", "phi"]
-    assert [row.std for row in rows] == pytest.approx([np.rad2deg(0.01), 0.2, np.rad2deg(0.03)])
+    assert [row.name for row in rows][:3] == ["yaw", "e_x", "phi"]
+    assert [row.std for row in rows][:3] == pytest.approx([np.rad2deg(0.01), 0.2, np.rad2deg(0.03)])
     assert rows[1].cells() == ("e_x", "0.00", "0.2", "world", "eye, units of the mesh")
     assert fit.notes == ()
