@@ -9,6 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import trimesh
+from chosen import long
 from numpy.testing import assert_allclose
 from oracles import mesh_coverage
 
@@ -18,8 +20,6 @@ from pinhole_jax._scene.scene import padded
 W, H = 40, 32
 UP = np.array([[0, 1, 0], [1, 0, 0], [0, -1, 0], [-1, 0, 0]])
 HALVES = 32  # half pixels to a unit, in the plane z = 0
-BOX = [[0, 3, 1], [0, 2, 3], [4, 5, 7], [4, 7, 6], [0, 1, 5], [0, 5, 4]]
-BOX += [[2, 7, 3], [2, 6, 7], [0, 4, 6], [0, 6, 2], [1, 3, 7], [1, 7, 5]]
 SOME, MANY = 24, 400
 
 
@@ -45,11 +45,6 @@ def sheet(random, low_high):
     return np.array(vertices, float), faces[:, :: random.choice([1, -1])]
 
 
-def box(low, high):
-    corners = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1)
-    return low + corners.reshape(-1, 3)[:, ::-1] * np.subtract(high, low), np.array(BOX)
-
-
 def joined(parts):
     sizes = np.cumsum([0] + [len(vertices) for vertices, _ in parts])
     faces = [faces + first for (_, faces), first in zip(parts, sizes, strict=False)]
@@ -67,17 +62,13 @@ def sheets(random, name):
     return joined([sheet(random, span) for span in spans]), spans
 
 
-def solids(random, name):
-    """Return three boxes below z = 0, or cubes of a voxel grid, and a sheet upon them."""
-    step = {"voxels": 1 / 2, "boxes": 1 / 4}[name]
-    parts = [sheet(random, [interval(random, -2, 2, step) for _ in range(2)])]
+def solids(random):
+    """Return three boxes below z = 0 and a sheet upon them."""
+    parts = [sheet(random, [interval(random, -2, 2, 1 / 4) for _ in range(2)])]
     for _ in range(3):
-        if name == "voxels":
-            low = random.integers(-1, 1, 3) / 2 - [0, 0, 1 / 2]
-            parts.append(box(low, low + 1 / 2))
-        else:
-            spans = np.array([interval(random, -4, 4, step) for _ in range(3)]).T
-            parts.append(box(*spans - [0, 0, 1]))
+        low, high = np.array([interval(random, -4, 4, 1 / 4) for _ in range(3)]).T - [[0, 0, 1]]
+        box = trimesh.creation.box(bounds=[low, high])
+        parts.append((np.asarray(box.vertices), np.asarray(box.faces)))
     return joined(parts)
 
 
@@ -149,25 +140,14 @@ def on_one_line(random):
     return corners.reshape(-1, 3) / 16, np.arange(15).reshape(-1, 3)
 
 
+@pytest.mark.parametrize("make", [on_one_line, long(solids)])
 @pytest.mark.usefixtures("both_ways")
-def test_edges_on_one_line_through_pixels_corners(exhaustive):
-    """Where rounding lets one edge, and not the other, come into a pixel beside its corner."""
+def test_edges_that_coincide_match_the_polygon_union(make, exhaustive):
+    """Edges on one line, where rounding lets one, and not the other, come into a pixel beside its
+    corner; and of solids upon each other."""
     for seed in range(10 * MANY if exhaustive else 2 * SOME):
-        vertices, faces = on_one_line(np.random.default_rng(seed))
-        expected = mesh_coverage(camera(seed % 4), vertices, faces)
-        scene = pj.Scene(mesh=pj.Mesh(vertices, faces))
-        assert_allclose(pj.silhouette(camera(seed % 4), scene), expected, atol=1e-13)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name", ["voxels", "boxes"])
-def test_solids_on_the_grid_match_the_polygon_union(name, exhaustive):
-    for seed in range(MANY if exhaustive else SOME):
-        vertices, faces = solids(np.random.default_rng(seed), name)
-        turn = seed % 4
-        expected = mesh_coverage(camera(turn), vertices, faces)
-        image, _ = with_change(camera(turn), scene_of(vertices, faces), jnp.array([0.02, 0.03, 0]))
-        assert_allclose(image, expected, atol=5e-14)
-        single = scene_of(vertices, faces, np.float32)
-        image = pj.silhouette(camera(turn, np.float32), single)
-        assert_allclose(image, expected, atol=3e-5)
+        vertices, faces = make(np.random.default_rng(seed))
+        view = camera(seed % 4)
+        expected = mesh_coverage(view, vertices, faces)
+        image = pj.silhouette(view, scene_of(vertices, faces))
+        assert_allclose(image, expected, atol=1e-13)
