@@ -173,6 +173,11 @@ def central_difference(function, x: np.ndarray, step: float = 1e-5) -> np.ndarra
     return np.stack(columns, axis=-1).reshape((*np.shape(columns[0]), *x.shape))
 
 
+def single(tree):
+    """Return cameras or scenes in float32."""
+    return jax.tree.map(lambda x: x.astype(jnp.float32) if x.dtype == float else x, tree)
+
+
 def turned(camera: pj.Camera, axis, degrees: float, distance: float = 1.0, focal: float = 1.0):
     """Return the camera orbited about the origin; distance and focal length are multiples."""
     turn = np.deg2rad(degrees) * np.asarray(axis) / np.linalg.norm(axis)

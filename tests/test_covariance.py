@@ -106,23 +106,3 @@ def test_predicted_covariance_is_that_of_refits(tmp_path, name):
     assert row["least eigenvalue"] > least
     assert row["most"] < most
     assert row["worst direction, degrees"] < angle
-
-
-def test_ranks_of_right_error_bars_are_within_the_bands_and_others_not():
-    """Of 100 sets of ranks of a normal number under its own law one falls out, and nearly all of
-    those whose sigma is a third too small."""
-    draws = np.random.default_rng(0).normal(size=(100, 300))
-    least = calibration.chance(300)
-    falls_out = lambda z: calibration.least_tail(calibration.norm.cdf(z)) < least
-    assert sum(map(falls_out, draws)) <= 4
-    assert sum(map(falls_out, 1.5 * draws)) > 95
-
-
-def test_truth_a_small_step_away_is_off_by_that_step():
-    fit = one_view(HERE)
-    step = 1e-3 * np.random.default_rng(3).normal(size=len(fit.names)) * fit.std
-    truth = fit.displaced(step)
-    assert_allclose(calibration.off_by(fit, truth), step, rtol=1e-4)
-    values = calibration.used(pj.Scene(mesh=MESH), truth, np.random.default_rng(0))
-    squared = calibration.ranks(fit, truth, values)["squared"]
-    assert_allclose(squared, step @ np.linalg.solve(fit.covariance, step), rtol=1e-2)

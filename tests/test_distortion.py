@@ -140,3 +140,22 @@ def test_derivatives_of_fisheye_rays_hold_to_89_degrees():
         for slopes, least in ((first, 0), (second, 1)):
             for slope in jax.jit(jax.vmap(slopes, (0, None)))(radius[least:], k):
                 assert_allclose(slope, 0, atol=1e-8)
+
+
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+def test_wide_lenses_are_inverted_wherever_they_are_trusted(dtype):
+    """Up to where the image grows by a hundred times, or by a twentieth, of its growth inside."""
+    for model in TRUSTED:
+        edge = 0.999 * np.arctan(float(model.trusted_radius()))
+        radius = np.tan(np.linspace(0, min(edge, 1.52), 500))
+        ideal = (radius * np.stack([np.cos(9 * radius), np.sin(9 * radius)])).astype(dtype)
+        lens = jax.tree.map(lambda x: x.astype(dtype), model)
+        off = np.asarray(round_trip(lens, *ideal), float) - ideal
+        assert np.all(np.hypot(*off) < 5000 * np.finfo(dtype).eps * (1 + radius**2))
+
+
+def test_points_beyond_a_lens_go_on_straight():
+    model = pj.Fisheye(*ANGLES[5])  # folds at 51 degrees
+    ideal = np.linspace(0.9, 30.0, 200) * float(model.trusted_radius())
+    ideal = np.stack([0.6 * ideal, 0.8 * ideal])
+    assert_allclose(round_trip(model, *ideal), ideal, rtol=1e-12)

@@ -3,6 +3,7 @@
 import json
 import sys
 
+import _common
 import frozen
 import pytest
 
@@ -81,21 +82,7 @@ def test_update_wants_a_reason_and_keeps_it(gate, capsys):
     assert gate(with_values(error=5.0), "--gate") == 0
 
 
-def test_figures_are_written_with_value_unit_direction_tolerance_and_command(monkeypatch, tmp_path):
-    given = [frozen.Figure("a", 2.0, "px", "lower", 0.1, 0.5), frozen.Figure("b", float("nan"), "")]
-    monkeypatch.setitem(frozen.GROUPS, "errors", lambda asked: iter(given))
-    monkeypatch.setattr("pinhole_jax.cache", lambda: None)
-    frozen.child("errors", tmp_path / "errors.json", "full")
-    found = json.loads((tmp_path / "errors.json").read_text())
-    how = "python experiments/frozen.py --only errors"
-    row = {"value": 2.0, "unit": "px", "direction": "lower", "tolerance": 1.0, "how": how}
-    assert found["a"] == row
-    assert found["b"]["value"] is None
-
-
 def test_trials_go_on_where_they_stopped(tmp_path):
-    import _common
-
     done = []
 
     def trial(number, shape):
@@ -103,12 +90,10 @@ def test_trials_go_on_where_they_stopped(tmp_path):
         return {"shape": shape, "number": number}
 
     asked = _common.Asked(tmp_path, seed=5, resume=True)
-    rows = _common.trials(asked, "some", 4, [("ball",), ("cube",)], trial)
+    given = asked, "some", 4, [("ball",), ("cube",)], trial
+    rows = _common.trials(*given)
     assert done == [(5, "ball"), (6, "ball"), (7, "cube"), (8, "cube")]
     path = tmp_path / "some.jsonl"
     path.write_text("".join(path.read_text().splitlines(keepends=True)[:3]))  # stopped before one
-    assert _common.trials(asked, "some", 4, [("ball",), ("cube",)], trial)[:3] == rows[:3]
+    assert _common.trials(*given)[:3] == rows[:3]
     assert done[4:] == [(8, "cube")]
-    again = _common.Asked(tmp_path, seed=5)
-    _common.trials(again, "some", 1, [("ball",)], trial)
-    assert done[5:] == [(5, "ball")]

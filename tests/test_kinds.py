@@ -107,18 +107,10 @@ def test_constant_offset_has_no_spread(mask):
     assert found.spread < 1e-12
 
 
-def test_weights_scale_it(mask):
-    plain, heavy = (kind_of(noisy(mask), w * np.ones(mask.shape), np.float64) for w in (1.0, 4.0))
-    for name in ("variance", "most", "far"):
-        np.testing.assert_allclose(getattr(heavy, name), 4 * getattr(plain, name), rtol=1e-6)
-
-
 @pytest.mark.parametrize("full", [1, 255, 65535])
 @pytest.mark.parametrize("dtype", [bool, np.uint8, np.int16, np.uint16, np.int64, np.uint32])
 def test_masks_of_two_values_are_taken_whatever_their_type(dtype, full):
     disc = np.hypot(*np.mgrid[-9:9, -12:12]) < 5
-    if full > 1 and (dtype is bool or full > np.iinfo(dtype).max):
-        return
-    mask = disc.astype(dtype) * dtype(full)
-    taken, _ = check_target(mask, None, 24, 18)
-    np.testing.assert_array_equal(as_coverage(taken), disc)
+    if full == 1 or (dtype is not bool and full <= np.iinfo(dtype).max):
+        taken, _ = check_target(disc * np.asarray(full, dtype), None, 24, 18)
+        np.testing.assert_array_equal(as_coverage(taken), disc)

@@ -9,13 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
-from pinhole_jax._fit import photo as photos
 from pinhole_jax._mask import matte
-from pinhole_jax._mask.mask import Mask
-from pinhole_jax._outline.stretches import coverage_of
-from pinhole_jax._solver.moves import canonical
-from pinhole_jax._solver.solver import Solver
-from pinhole_jax._solver.subject import Subject
 
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 192, 160)
 START = turned(CAMERA, [1, 2, 3], 3)
@@ -137,45 +131,11 @@ def test_pixels_of_zero_weight_do_not_count_in_the_photo(scene, shown):
     assert np.all(off(fit) < [0.5, 0.01])
 
 
-def test_coverage_is_read_from_the_pixels_that_a_contour_touches(scene, shown):
-    # A camera so near that the film's sides cut the object.
-    near = pj.Camera([0.15, 0.5, 2.4], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 192, 160)
-    for camera in (CAMERA, near):
-        unit = canonical(camera)
-        mask = Mask(shown, np.ones(shown.shape), camera)
-        solver = Solver.on(Subject.from_scene(scene, np.float64), mask, ("pose",), 4)
-        view = solver.look(unit, solver.finest)
-        level = solver.levels[solver.finest]
-        expected = level.window().crop(drawn(camera, scene))
-        np.testing.assert_allclose(coverage_of(view)[::-1], expected, atol=1e-9)
-
-
 def test_light_is_that_of_srgb():
     values = np.array([[[0, 10, 118], [188, 255, 64]]], np.uint8)
     expected = [[[0, 0.00303, 0.18116], [0.50289, 1, 0.05126]]]
     np.testing.assert_allclose(matte.light(values), expected, atol=1e-4)
     np.testing.assert_allclose(matte.light(values / 255), expected, atol=1e-4)
-
-
-def test_matte_shows_an_edge_where_it_is():
-    # An upright edge at 30.3 px, blurred and noisy, learned from an outline that is 2 px off.
-    random = np.random.default_rng(1)
-    column = np.broadcast_to(np.arange(60), (40, 60))
-    share = gaussian_filter(np.clip(30.3 - column, 0, 1), (0, 1.0))
-    colours = share[..., None] * FRONT + (1 - share[..., None]) * BACK
-    colours = (colours + 0.02 * random.normal(size=colours.shape)).astype(np.float32)
-    distance = 32.0 - (column + 0.5)
-    read = matte.matte(colours, distance, photos.ROUNDS[0], np.ones(share.shape, bool))
-    asked = np.abs(distance) < photos.ROUNDS[0].reach
-    assert np.all(read.weight[~asked] == 0)
-    assert np.all(read.weight[np.abs(distance) < 2] > 0.5)
-    edge = np.sum(read.share, axis=1)
-    assert abs(np.mean(edge) - 30.3) < 0.05
-    # Both sides alike: colours tell nothing.
-    same = np.broadcast_to(BACK, colours.shape).astype(np.float32)
-    same = same + 0.02 * random.normal(size=same.shape).astype(np.float32)
-    read = matte.matte(same, distance, photos.ROUNDS[0], np.ones(share.shape, bool))
-    assert np.max(read.weight) < 0.1
 
 
 PHOTO = np.zeros((160, 192, 3), np.uint8)

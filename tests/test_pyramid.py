@@ -7,11 +7,10 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import pinhole_jax as pj
-from pinhole_jax._mask.edges import NearWeights, edge_band
+from pinhole_jax._mask.edges import edge_band
 from pinhole_jax._mask.kinds import kind_of
 from pinhole_jax._mask.mask import Mask
-from pinhole_jax._mask.pyramid import PAGE, pyramid
-from pinhole_jax._mask.target import Window, object_window
+from pinhole_jax._mask.target import object_window
 
 
 def disc(H: int, W: int) -> np.ndarray:
@@ -19,25 +18,6 @@ def disc(H: int, W: int) -> np.ndarray:
     y, x = np.ogrid[:H, :W]
     far = np.hypot(y - 0.45 * H, x - 0.4 * W)
     return np.clip(H / 4 - far + 0.5, 0, 1).astype(np.float32)
-
-
-def told(data, level, cell) -> list[np.ndarray]:
-    """What a level holds at some cells: target, weight, and what is summed up before them."""
-    at = int(level.start) + cell
-    here = data.page[at // PAGE] * PAGE + at % PAGE
-    return [*data.cells[:2, here], *(data.sums[:, at // PAGE] + data.cells[2:, here])]
-
-
-def test_weights_near_an_edge_are_those_of_an_image():
-    target = disc(90, 140) > 0.5
-    place = np.sort(np.random.default_rng(0).permutation(target.size)[:500])
-    weights = NearWeights(target.shape, place, np.linspace(0.1, 1, 500))
-    window = Window(20, 30, 100, 50)
-    found, (level,) = pyramid(target, weights, float, window=window, only_finest=True)
-    plain, _ = pyramid(target, weights.image(), float, window=window, only_finest=True)
-    cell = np.arange(int(level.H) * (int(level.W) + 2) + 1)
-    for a, b in zip(told(found, level, cell)[1:], told(plain, level, cell)[1:], strict=True):
-        assert_allclose(a, b, atol=1e-12)
 
 
 @pytest.mark.parametrize("reach", [0.5, 2.0, 6.3, 14.0])

@@ -113,21 +113,12 @@ def test_reference_set_agrees_with_itself(capsys):
 
 def test_shifted_or_biased_picture_does_not_agree():
     ours = compare.images_of(REFERENCE / "set" / "bumpy.npz")["phi"]
-    moved = compare.compared(np.roll(ours, 1, axis=1), ours)
-    assert not moved.agrees
-    assert moved.correlation < 0.9
-    one = ours.copy()
-    one[20, 30] += 100 * np.abs(ours).max()
-    biased = compare.compared(one, ours)
-    assert not biased.agrees
-    assert biased.worst == (20, 30)
-    assert biased.theirs == one[20, 30]
-
-
-def test_still_image_must_stay_still():
-    still = np.zeros((4, 5))
-    assert compare.compared(still, still).agrees
-    assert not compare.compared(still + 1e-3, still).agrees
+    biased = ours.copy()
+    biased[20, 30] += 100 * np.abs(ours).max()
+    for theirs, known in ((np.roll(ours, 1, axis=1), ours), (biased, ours), (ours, 0 * ours)):
+        assert compare.compared(known, known).agrees
+        assert not compare.compared(theirs, known).agrees
+    assert compare.compared(biased, ours).worst == (20, 30)
 
 
 @pytest.mark.parametrize(

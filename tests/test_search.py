@@ -33,27 +33,18 @@ def anywhere(seed: int, W: int = 96, H: int = 80) -> pj.Camera:
 
 
 @pytest.mark.parametrize("closed", [True, False])
-def test_fine_mesh_is_coarsened_for_the_search(closed, monkeypatch):
+def test_fine_mesh_is_coarsened_for_the_search(closed):
     """A search of all views of 5M faces took 35 s: pictures of 48 px need some 60 000 of them."""
-    fine = shapes.bumpy(5)
-    fine = fine if closed else pj.Mesh(fine.vertices, fine.faces[:-3000])
-    monkeypatch.setattr(coarse, "FINE", 1000)
-    monkeypatch.setattr(coarse, "CELLS", 40)
+    fine = shapes.bumpy(7)
+    fine = fine if closed else pj.Mesh(fine.vertices, fine.faces[:-50_000])
     mesh = coarse.seen_from_afar(fine)
     assert len(mesh.faces) < 0.6 * len(fine.faces)
     assert np.all(mesh.edge_faces >= 0) == closed
-    ball, directions = (
-        ball_about(np.asarray(bounding_box(pj.Scene(mesh=fine)), float)),
-        sphere_points(9),
-    )
-    drawn = [
-        thumbnails(
-            pj.Scene(mesh=m), ball, 4 * directions, axes_inward(directions), 2 * np.arcsin(1 / 4)
-        )
-        for m in (fine, mesh)
-    ]
-    assert np.sqrt(np.mean((drawn[0] - drawn[1]) ** 2)) < 0.02
-    assert np.mean(drawn[0]) > 0.1
+    ball = ball_about(np.asarray(bounding_box(pj.Scene(mesh=fine)), float))
+    views = 4 * sphere_points(9), axes_inward(sphere_points(9)), 2 * np.arcsin(1 / 4)
+    full, shown = (thumbnails(pj.Scene(mesh=m), ball, *views) for m in (fine, mesh))
+    assert np.sqrt(np.mean((full - shown) ** 2)) < 0.02
+    assert np.mean(full) > 0.1
 
 
 def test_camera_is_found_with_no_start(scene):
@@ -106,18 +97,16 @@ def test_start_that_misses_the_mask_is_pulled_in(scene, where):
 def test_box_has_four_views():
     """Half turns about its three axes change nothing: four cameras, all of them are given."""
     box = trimesh.creation.box((1.2, 0.8, 2)).subdivide()
-    scene = pj.Scene(mesh=pj.Mesh(box.vertices, box.faces))
-    truth = anywhere(1)
-    fit = pj.fit_camera(scene, drawn(truth, scene), None, phi=0.6)
+    scene, truth = pj.Scene(mesh=pj.Mesh(box.vertices, box.faces)), anywhere(1)
+    mask = drawn(truth, scene)
+    fit = pj.fit_camera(scene, mask, None, phi=0.6)
     assert fit.status == "ambiguous"
     assert len(fit.modes) == 3
-    views = [fit, *fit.modes]
-    assert min(degrees(f, truth) for f in views) < 1e-4
-    for f in views:
+    assert min(degrees(f, truth) for f in (fit, *fit.modes)) < 1e-4
+    for f in (fit, *fit.modes):
         assert f.rms < 1e-6
-        np.testing.assert_allclose(drawn(f.camera, scene), drawn(truth, scene), atol=1e-4)
-    near = turned(truth, [1, 2, 3], 20)
-    assert degrees(pj.fit_camera(scene, drawn(truth, scene), near), truth) < 1e-4
+        np.testing.assert_allclose(drawn(f.camera, scene), mask, atol=1e-4)
+    assert degrees(pj.fit_camera(scene, mask, turned(truth, [1, 2, 3], 20)), truth) < 1e-4
 
 
 @pytest.mark.long

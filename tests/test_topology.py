@@ -113,10 +113,8 @@ def test_faces_without_area_at_a_border_are_no_border():
 
 def test_long_row_of_faces_without_area_is_removed():
     """Each is beside the next: a strip along one line, between two faces."""
-    n = 3000
-    line = np.stack([np.arange(n + 1) / 1024, np.zeros(n + 1), np.zeros(n + 1)], axis=1)
-    vertices = np.concatenate([line, [[1, 1, 0]]])
-    k = np.arange(1, n)
-    faces = np.concatenate([[[0, n, n + 1]], np.stack([0 * k, k, k + 1], axis=1)])
-    mesh = pj.Mesh(vertices, faces)
+    k = np.arange(3001)
+    vertices = np.append(k[:, None] / 1024 * [1, 0, 0], [[1, 1, 0]], axis=0)
+    strip = np.stack([0 * k, k, k + 1], axis=1)[1:-1]
+    mesh = pj.Mesh(vertices, np.append([[0, 3000, 3001]], strip, axis=0))
     assert np.all(np.asarray(mesh.edge_faces)[:, 0] == 0)

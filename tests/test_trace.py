@@ -1,5 +1,6 @@
 """Hits against Embree (an independent tracer, in float32) and by hand."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -105,6 +106,28 @@ def test_small_spheres_far_away_keep_their_digits_in_float32(distance):
     scene = pj.Scene(spheres=pj.Spheres(np.zeros((1, 3), np.float32), np.ones(1, np.float32)))
     exact = distance - np.sqrt(0.75)
     assert_allclose(pj.trace(scene, rays).t, exact, rtol=2e-7)
+
+
+@pytest.mark.long
+def test_shapes_follow_the_rays_and_no_rays_give_no_hits():
+    scene, down = pj.Scene(mesh=TRIANGLE), jnp.array([0.0, 0, -1])
+    t = lambda origin: pj.trace(scene, pj.Rays(origin, down)).t
+    assert_allclose(jax.vmap(t)(jnp.array([[0.5, 0.25, 4], [0.1, 0.1, 5]])), [4, 5])
+    assert pj.trace(scene, pj.Rays(jnp.zeros(3), jnp.zeros((2, 0, 3)))).t.shape == (2, 0)
+    rays = pj.Rays(jnp.zeros(3), jnp.ones((4, 3)))
+    assert pj.trace(pj.Scene(), rays).primitive.tolist() == [-1] * 4
+
+
+@pytest.mark.long
+def test_camera_stands_for_its_rays():
+    scene = pj.Scene(mesh=shapes.bumpy(1), spheres=pj.Spheres([[1.1, 0.9, 0.2]], [0.4]))
+    for lens in (None, pj.Lens([11.0, 7.0], 1.1, pj.BrownConrady(k1=-0.1))):
+        view = CAMERA.replace(lens=lens)
+        seen, traced = pj.trace(scene, view), pj.trace(scene, pj.camera_rays(view))
+        assert {int(k) for k in np.unique(seen.primitive)} > {-1, 80}
+        assert_array_equal(seen.primitive, traced.primitive)
+        assert_allclose(seen.t, traced.t, rtol=1e-13)
+        assert_array_equal(pj.occluded(scene, view), np.isfinite(seen.t))
 
 
 def test_unknown_search_is_refused():
