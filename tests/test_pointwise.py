@@ -15,67 +15,28 @@ from pinhole_jax._camera.camera import camera_coordinates, to_camera
 LENS = pj.Lens([23.0, 21.0], 1.0, pj.BrownConrady(0.1, 0.02, 1e-3, -2e-3, 0.0))
 PLAIN = pj.Camera([0.3, 0.2, 4.0], [0.1, 0, 0], [0, 1, 0], 0.7, 1.0, 48, 40)
 BENT = PLAIN.replace(lens=LENS)
+SINGLE = jax.tree.map(lambda x: x.astype(np.float32), PLAIN)
 RANDOM = np.random.default_rng(7)
 
 
 @pytest.mark.parametrize(
     ("camera", "shape"),
-    first(1, [(BENT, (3, 30)), (PLAIN, ()), (PLAIN, (65,)), (BENT, ()), (PLAIN, (64,))]),
-    ids=["bent 3, 30", "plain one", "plain 65", "bent one", "plain 64"],
+    first(1, [(BENT, (3, 30)), (PLAIN, ()), (PLAIN, (65,)), (SINGLE, (64,))]),
+    ids=["bent 3, 30", "plain one", "plain 65", "float32 64"],
 )
 def test_points_are_where_a_program_of_their_own_has_them(camera, shape):
-    points = RANDOM.standard_normal((*shape, 3))
+    points = RANDOM.standard_normal((*shape, 3)).astype(camera.e.dtype)
+    close = 200 * np.finfo(points.dtype).eps
     for ours, own in ((pj.project, pj.project), (camera_coordinates, to_camera)):
         found = ours(camera, points)
         assert isinstance(found, jax.Array)
-        assert found.shape == (*shape, found.shape[-1])
-        assert_allclose(found, jax.jit(own)(camera, points), rtol=1e-14, atol=1e-13)
+        assert found.dtype == points.dtype
+        assert_allclose(found, jax.jit(own)(camera, points), rtol=close, atol=close)
 
 
 def test_no_points_are_projected_to_none():
     assert pj.project(PLAIN, np.zeros((0, 3))).shape == (0, 2)
     assert pj.project(PLAIN, np.zeros((4, 0, 3))).shape == (4, 0, 2)
-
-
-def test_point_that_is_not_finite_changes_no_other():
-    points = RANDOM.standard_normal((5, 3))
-    whole = np.asarray(pj.project(BENT, points))
-    points[0] = np.nan  # what is filled up is like it
-    assert_array_equal(np.asarray(pj.project(BENT, points))[1:], whole[1:])
-
-
-def test_type_of_points_is_kept():
-    single = jax.tree.map(lambda x: x.astype(np.float32), PLAIN)
-    points = RANDOM.standard_normal((5, 3)).astype(np.float32)
-    assert pj.project(single, points).dtype == np.float32
-    assert pj.project(single, jnp.asarray(points, jnp.float32)).dtype == np.float32
-    assert pj.project(PLAIN, points.astype(float)).dtype == np.float64
-
-
-def test_lens_bends_and_straightens_points():
-    ideal = RANDOM.uniform(0, 40, (70, 2))
-    assert bent(PLAIN, ideal) is ideal
-    seen = bent(BENT, ideal)
-    assert 0.01 < np.max(np.abs(seen - ideal)) < 10
-    assert_allclose(straightened(BENT, seen), ideal, atol=1e-9)
-    # By the rays, which undistort film points: an ideal point lies where its ray does.
-    film = [10.5, 30.5]
-    direction = np.asarray(pj.rays_through(BENT, film).direction)
-    ideal = BENT.replace(lens=pj.Lens(LENS.principal_point))
-    there = pj.project(ideal, np.asarray(BENT.e) + 2 * direction)
-    assert_allclose(straightened(BENT, np.array([film]))[0], there, atol=1e-9)
-
-
-def test_derivatives_pass():
-    points, h = RANDOM.standard_normal((5, 3)), 1e-6
-    project = lambda x: pj.project(BENT, x)
-    slope = jax.jit(jax.vmap(jax.jacfwd(project)))(points)
-    for k, step in enumerate(h * np.eye(3)):
-        change = (np.asarray(project(points + step)) - project(points - step)) / (2 * h)
-        assert_allclose(slope[..., k], change, rtol=1e-6, atol=1e-6)
-    x, y, z = points[0]
-    of_a_list = jax.grad(lambda z: project([x, y, z])[1])(z)
-    assert_allclose(of_a_list, slope[0, 1, 2], rtol=1e-12)
 
 
 @on_cpu
@@ -90,28 +51,25 @@ def test_rays_in_a_row_hit_the_same_among_others(origins):
     """Among 64 nothing is filled up."""
     mesh, random = pj.shapes.bumpy(1), np.random.default_rng(1)
     scene = pj.Scene(mesh=mesh, spheres=pj.Spheres([[1.5, 0, 1.0]], [0.6]))
-    towards = np.column_stack([random.uniform(-2, 2, (64, 2)), np.zeros(64)])
-    eyes = np.array([0.0, 0, 5]) + random.uniform(-1, 1, (64, 3))
-    eyes = eyes[0] if origins == "one" else eyes
+    towards = random.uniform(-2, 2, (64, 3)) * [1, 1, 0]
+    eyes = np.array([0.0, 0, 5]) + random.uniform(-1, 1, (1 if origins == "one" else 64, 3))
     whole = pj.trace(scene, pj.Rays(eyes, towards - eyes))
-    assert {*np.unique(whole.primitive >= len(mesh.faces))} == {False, True}  # faces and a sphere
+    assert {*np.sign(whole.primitive - len(mesh.faces)).tolist()} == {-1, 0}  # faces and a sphere
     assert np.any(np.isinf(whole.t))
     for number in (1, 3, 5):
-        rays = pj.Rays(eyes[:number] if eyes.ndim > 1 else eyes, (towards - eyes)[:number])
-        hit = pj.trace(scene, rays)
-        assert hit.normal.shape == (number, 3)
-        for ours, theirs in zip(hit, whole, strict=True):
-            assert_array_equal(ours, theirs[:number])
-        assert_array_equal(pj.occluded(scene, rays), np.isfinite(hit.t))
+        rays = pj.Rays(eyes[:number], (towards - eyes)[:number])
+        for ours, theirs in zip(pj.trace(scene, rays), whole, strict=True):
+            assert_array_equal(ours, theirs[:number], strict=True)
+        assert_array_equal(pj.occluded(scene, rays), np.isfinite(whole.t[:number]))
 
 
 @on_cpu
-def test_further_numbers_compile_nothing(compiled):
+def test_further_numbers_of_points_and_pixels_compile_nothing(compiled):
     scene = pj.Scene(mesh=pj.shapes.bumpy(1))
 
     def all_of_it(n):
         points = RANDOM.standard_normal((n, 3))
-        pj.project(PLAIN, points)
+        pj.project(PLAIN.replace(W=n, H=2 * n), points)
         pj.project(BENT, points.reshape(1, n, 3))
         camera_coordinates(PLAIN, points)
         bent(BENT, points[:, :2])

@@ -33,19 +33,6 @@ def test_pixel_centres_and_row_order_by_hand():
     assert_array_equal(rays.direction, pj.camera_rays(CAMERA).direction)
 
 
-def test_film_is_centred_on_the_axis_and_d_changes_no_direction():
-    """q = b1 x + b2 y + v d: the film grows with d."""
-    plain = pj.camera_rays(CAMERA).direction
-    for change in ({"p": E + 0.01 * (P - E)}, {"p": E + 7 * (P - E)}, {"d": 0.1}, {"d": 40.0}):
-        other = pj.camera_rays(CAMERA.replace(**change)).direction
-        assert_allclose(other, plain, rtol=1e-14, atol=1e-15)
-    single = [np.asarray(x, np.float32) for x in (E, P, U, PHI)]
-    for d in (1e-30, 1e30):  # squares of d would not be float32 numbers
-        rays = pj.generate_rays(*single, np.float32(d), *SIZE)
-        assert rays.direction.dtype == jnp.float32
-        assert_allclose(rays.direction, plain, atol=1e-6)
-
-
 def test_samples_are_cell_centres_by_hand():
     rays = pj.generate_rays(E, P, U, PHI, D, *SIZE, samples=2)
     assert rays.direction.shape == (2, 4, 4, 3)
@@ -58,12 +45,11 @@ def test_samples_are_cell_centres_by_hand():
 def test_stratified_samples_stay_in_their_cells():
     rays = pj.camera_rays(CAMERA, 3, jax.random.key(0))
     film = np.asarray(pj.project(CAMERA, np.asarray(E) + 2 * np.asarray(rays.direction)))
-    column, row = np.arange(4)[None, :, None], np.arange(2)[::-1][:, None, None]
-    cell = np.arange(9)[None, None]
-    for k, (pixel, part) in enumerate(((column, cell % 3), (row, cell // 3))):
-        within = (film[..., k] - pixel) * 3 - part
-        assert np.all((within >= -1e-9) & (within <= 1 + 1e-9))
-    assert np.ptp(film[..., 0] * 3 % 1) > 0.5
+    row, column, cell = np.indices((2, 4, 9))
+    corner = np.stack([column + cell % 3 / 3, 1 - row + cell // 3 / 3], axis=-1)
+    within = 3 * (film - corner)
+    assert np.all((within >= -1e-9) & (within <= 1 + 1e-9))
+    assert np.ptp(within) > 0.5
 
 
 @pytest.mark.parametrize("lens", LENSES, ids=["plain", "shifted", "distorted"])
@@ -121,12 +107,3 @@ def test_call_outside_jit_is_one_program(call):
     """Step by step each step would be compiled: 47 for the rays of a camera."""
     steps = jax.make_jaxpr(call)(CAMERA, jnp.ones((5, 3))).eqns
     assert len(steps) == 1, steps
-
-
-def test_film_of_any_size_projects_by_the_same_program(compiled):
-    points = np.ones((5, 3))
-    for size in ((4, 2), (5, 3), (640, 480)):
-        camera = pj.Camera([1.0, 2, 5], [0.1, 0, 0], [0.3, 1, 0.2], 0.7, 2.0, *size)
-        pj.project(camera, points)
-        number = len(compiled) if size == (4, 2) else number
-    assert len(compiled) == number
