@@ -473,7 +473,7 @@ def halved(number: int, name: str) -> dict:
     squares = [row["count"] * row["rms"] ** 2 for row in told]
     most = lambda key: max((row[key] for row in told if row[key] is not None), default=None)
     return {
-        "rms": float((sum(squares) / max(sum(row["count"] for row in told), 1)) ** 0.5),
+        "rms": float((sum(squares) / sum(x["count"] for x in told)) ** 0.5) if told else None,
         "splits": len(told),
         "degrees": most("degrees"),
         "mm": most("mm"),
@@ -488,8 +488,10 @@ def split(asked: Options) -> dict:
     place = lambda name: f"real-split-{name.replace(' ', '-')}"
     sets = {name: trials(asked, place(name), 1, [(name,)], halved)[0] for name in names}
     show({"": name, **{k: row[k] for k in [*row][:4]}} for name, row in sets.items())
-    wide = [f"{name} {row['rms']:.2f}" for name, row in sets.items() if row["rms"] > WIDE]
-    words = f"{len(sets) - len(wide)} of {len(sets)} sets within {WIDE} sigma (rms)"
+    known = {name: row["rms"] for name, row in sets.items() if row["splits"]}
+    wide = [f"{name} {rms:.2f}" for name, rms in known.items() if rms > WIDE]
+    words = f"{len(known) - len(wide)} of {len(known)} sets within {WIDE} sigma (rms)"
+    wide += [f"{name}: cannot tell" for name in sets if name not in known]
     return {"verdict": "; ".join([words, *wide]), "sets": sets}
 
 
