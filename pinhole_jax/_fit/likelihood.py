@@ -116,6 +116,8 @@ def account(
     missing = float(np.mean(alone))
     px = missing * outline.length
     price = _price(px, min(px / 3, 1.0), edge.size, max(found.errors.size, 0.3))
+    covered = float(whole - missing)
+    price += covered / RULES.small  # (how much an occluder hides: exponential)
     errors = found.errors
     shift = float(np.max(np.abs(pairs.by_move @ errors.move)))
     return Account(
@@ -125,7 +127,7 @@ def account(
         gross=gross,
         inside=inside,
         missing=missing,
-        covered=float(whole - missing),
+        covered=covered,
         move=errors.move,
         shift=shift,
         covariance=errors.covariance,
