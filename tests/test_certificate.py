@@ -78,20 +78,6 @@ def test_float32_without_x64_takes_longer_steps():
     assert {"e.x", "p.y", "phi"} < set(failures(failed))
 
 
-@pytest.mark.full
-@pytest.mark.parametrize("size", [32, 256])
-@pytest.mark.parametrize("precision", ["float64", "float32", "float32 without x64"])
-def test_silhouette_at_full_size_passes(precision, size):
-    """Overlapping contours, spheres before and beside the mesh: takes a minute."""
-    dtype = precision[:7]
-    with jax.enable_x64("without" not in precision):
-        scene = pj.Scene(shapes.bumpy(4), spheres(dtype).spheres)
-        view = camera(dtype)
-        view = pj.Camera(view.e, view.p, view.u, view.phi, view.d, size, size)
-        found = pj.check_gradients(view, scene, verbose=False)
-    assert found.passed, found
-
-
 class Gains(eqx.Module):
     """What a derivative is multiplied by: 1 is right, -1 a flipped sign, 0 a lost piece."""
 

@@ -57,12 +57,14 @@ def folder(tmp_path_factory):
     mesh = trimesh.Trimesh(SCENE.mesh.vertices, SCENE.mesh.faces, process=False)
     mesh.export(folder / "bumpy.ply")
     io.save_camera(folder / "truth.json", CAMERA)
+    endless = {**io.camera_to_dict(CAMERA), "W": 20_000, "H": 20_000, "pose": None}
+    (folder / "endless.json").write_text(json.dumps(endless))
     io.save_camera(folder / "start.json", turned(CAMERA, [1, 2, 3], 8, 1.05))
     io.save_image(folder / "mask.png", drawn(CAMERA, SCENE))
     dot = Image.new("L", (96, 80))
     dot.save(folder / "black.png")
     dot.resize((9, 9)).save(folder / "small.png")
-    dot.paste(255, (30, 20, 60, 50))
+    dot.paste(255, (20, 20, 70, 60))
     dot.save(folder / "dot.png")
     dot.point(lambda value: 255 - value).save(folder / "inverted.png")
     dot.point(lambda value: 7 * (value > 0)).save(folder / "sevens.png")
@@ -166,7 +168,7 @@ def test_photo_refines_the_camera(here, capsys):
             " is right `--mask-from luminance`",
         ),
         ("fit bumpy.ply sevens.png --fov 34", "`--mask-from label=7` if its object"),
-        ("fit bumpy.ply dot.png --fov 234", "`--fov`: expected degrees between 0 and 180, got 234"),
+        ("fit bumpy.ply dot.png --fov 234", "`--fov`: expected degrees between 1 and 180, got 234"),
         (
             "fit bumpy.ply dot.png --fov 34 --free phi",
             "`--camera`: expected a camera to start from, as the pose is not free",
@@ -175,6 +177,10 @@ def test_photo_refines_the_camera(here, capsys):
         ("fit bumpy.ply bumpy.ply --fov 34", "bumpy.ply': cannot identify image file\n"),
         ("fit dot.png bumpy.ply --fov 34", "are `MESH` and `MASK` exchanged?"),
         ("render bumpy.ply black.png", "`CAMERA`: expected a folder (COLMAP) or one of .json"),
+        (
+            "render bumpy.ply endless.json",
+            "`CAMERA`: expected at most 178956970 pixels, got 20000 x 20000 (in 'endless.json')",
+        ),
         ("check truth.json bumpy.ply", "`MASK`: expected one image of MESH"),
         ("check truth.json bumpy.ply a.png b.png", "`MASK`: expected one image of MESH"),
         ("check truth.json arm.urdf joints.csv", "`MASK`: expected JOINTS, and an image"),
@@ -189,14 +195,6 @@ def test_bad_input_is_one_line_and_status_2(here, words, message, capsys):
     assert message in error
     assert error.count("\n") == 1
     assert not (here / "nothing").exists()
-
-
-def test_bad_input_ends_a_process_with_status_2(folder):
-    done = run(f"fit {folder}/no.ply no.png -o {folder}/x", folder / "cache")
-    assert done.returncode == 2
-    assert re.fullmatch(
-        rf"{WAITED}pinhole-jax fit: `MASK`: expected an image file.*\n", done.stderr
-    )
 
 
 @pytest.mark.long
@@ -243,16 +241,6 @@ def test_user_without_a_home_keeps_no_programs(folder, monkeypatch):
     assert io.load_image(folder / "homeless.png").shape == (80, 96)
 
 
-def test_enormous_picture_is_not_rendered(here, capsys):
-    endless = {**io.camera_to_dict(CAMERA), "W": 20_000, "H": 20_000}
-    del endless["pose"]
-    (here / "endless.json").write_text(json.dumps(endless))
-    assert main("render bumpy.ply endless.json") == 2
-    error = capsys.readouterr().err
-    assert "`CAMERA`: expected at most 178956970 pixels, got 20000 x 20000" in error
-    assert "endless.json" in error
-
-
 @pytest.mark.parametrize(
     ("arguments", "status", "words"),
     [
@@ -288,12 +276,6 @@ def help_of(name, capsys):
     with pytest.raises(SystemExit):
         command.main([name, "--help"])
     return capsys.readouterr().out
-
-
-def test_help_names_all_that_may_be_free(capsys):
-    text = " ".join(help_of("fit", capsys).partition("--free NAMES ")[2].split())
-    named = re.search(r"what to fit, of (.*?):", text)[1].split(", ")
-    assert tuple(named) == NAMES
 
 
 def test_help_has_groups_and_an_example_of_each_command(capsys):
@@ -335,17 +317,27 @@ def test_closed_pipe_is_silent():
     assert (done.returncode, done.stderr) == (command.PIPE, b"")
 
 
-@pytest.mark.parametrize("keep", ["", " --no-tidy"])
-def test_crumbs_go_and_are_named_unless_they_are_to_stay(here, fitted, capsys, keep):
-    mask = drawn(CAMERA, SCENE) > 0.5
-    crumbs = mask.copy()
-    crumbs[2, 2] = True
-    io.save_image("crumbs.png", crumbs)
-    main(f"fit bumpy.ply crumbs.png --fov 34 -o crumbs{keep}")
-    ((_, found, *_), _) = fitted[1][0]
-    assert np.array_equal(found > 127, crumbs if keep else mask)
-    note = "mask: 1 island of at most 1 px dropped; turn this off with `--no-tidy`\n"
-    assert (note in capsys.readouterr().err) == (not keep)
+@pytest.mark.parametrize(
+    ("words", "expected", "said"),
+    [
+        (
+            "crumbs.png",
+            "dot.png",
+            "mask: 1 island of at most 1 px dropped; turn this off with",
+        ),
+        ("crumbs.png --no-tidy", "crumbs.png", ""),
+        ("inverted.png --invert", "dot.png", ""),
+    ],
+)
+def test_mask_is_fitted_as_the_options_say(here, fitted, capsys, words, expected, said):
+    with Image.open("dot.png") as dot:
+        dot.putpixel((2, 2), 255)
+        dot.save("crumbs.png")
+    main(f"fit bumpy.ply {words} --fov 34 -o masks")
+    assert_array_equal(fitted[1][0][1]["target"], io.load_image(expected))
+    error = capsys.readouterr().err
+    assert said in error
+    assert ("island" in error) == bool(said)
 
 
 def test_help_shows_camera_files_that_can_be_read(capsys):
@@ -362,12 +354,6 @@ def test_help_shows_camera_files_that_can_be_read(capsys):
         assert camera.keys() <= written.keys()
 
 
-def test_help_says_what_each_status_means(capsys):
-    text = help_of("fit", capsys)
-    for status, meaning in STATUSES.items():
-        assert re.search(rf"^  {status} +{re.escape(meaning)}$", text, re.M)
-
-
 @pytest.mark.parametrize("status", STATUSES)
 def test_converged_fit_alone_exits_with_0(here, fitted, status, monkeypatch, capsys):
     fit = fitted[0]._replace(status=status)
@@ -378,12 +364,6 @@ def test_converged_fit_alone_exits_with_0(here, fitted, status, monkeypatch, cap
     assert code == (0 if status == "converged" else 1)
     assert f"status     {status}   ({STATUSES[status]})\n" in capsys.readouterr().out
     assert io.load_fit(f"{status}/camera.json").status == status
-
-
-def test_inverted_mask_is_turned_on_request(here, fitted):
-    assert main("fit bumpy.ply inverted.png --fov 34 --invert -o turned") == 0
-    ((_, mask, *_), _) = fitted[1][0]
-    assert_array_equal(mask, io.load_image("dot.png"))
 
 
 def test_interrupt_prints_one_line_and_exits_with_130(here, monkeypatch, capsys):
@@ -508,21 +488,21 @@ def test_cropped_and_resized_photos_keep_the_rays(here):
         ("--K 90 91 47.5 40 --dist 0.1", "`--dist`: expected 4 or 5 or 8 finite numbers"),
         (
             "--K 90 91 47 40 --crop 0 0 48 40",
-            "`--crop`: expected the mask's size 96 x 80, got 48 x 40; .* add `--resize` 48 40",
+            "`--crop`: expected the size of the mask.* 96 x 80, got 48 x 40; .* `--resize` 48 40",
         ),
         (
             "--K 90 91 47 40 --crop 0 0 48 40 --resize 50 40",
-            "`--resize`: expected the size of `--crop`, 48 x 40, got 50 x 40",
+            "`--crop`: expected the size of the mask or of `--resize`, 50 x 40, got 48 x 40",
         ),
         ("--K 90 91 47 40 --crop 0 0 0 40", "`--crop`: expected a width and height"),
         ("--K 90 91 47 40 --resize 0 40", "`--resize`: expected a width and height"),
         ("--K 0 91 47 40", "`--K`: expected positive focal lengths in px"),
         (
             "--camera start.json --resize 9 9",
-            "`--resize`: expected the size of the camera of `--camera`, 96 x 80, got 9 x 9",
+            "`--camera`: expected a camera of the mask's size 9 x 9, got one of 96 x 80",
         ),
         ("--camera no.json", "`--camera`: expected a camera file, got 'no.json': no such"),
-        ("--fov 0.577", r"`--fov`: .* 0\.577: degrees\? 0\.577 rad are 33\.1"),
+        ("--fov 0.577", r"`--fov`: expected degrees between 1 and 180, got 0\.577"),
     ],
 )
 def test_options_that_do_not_go_together_are_named(here, words, message):
@@ -550,13 +530,11 @@ def test_errors_name_the_arguments_of_the_command(text, told):
 )
 def test_check_ends_with_its_finding(here, status, sigma, ended, monkeypatch, capsys):
     fit = fit_of(CAMERA, ("e_x",), [0.01])._replace(status=status)
-    check = "pinhole_jax._command.check."
-    monkeypatch.setattr(f"{check}fit_camera", lambda *_, **__: fit)
-    monkeypatch.setattr(f"{check}drift", lambda *_: pj.drift(fit, fit)._replace(sigma=sigma))
+    motion = pj.drift(fit, fit)._replace(sigma=sigma)
+    for name, result in {"fit_camera": fit, "drift": motion}.items():
+        monkeypatch.setattr(f"pinhole_jax._command.check.{name}", lambda *_, x=result, **__: x)
     assert main("check truth.json bumpy.ply mask.png") == ended
-    out = capsys.readouterr().out
-    assert ended or "not moved: 1.0 sigma" in out
-    assert status == "non_finite" or f"status     {status}   (" in out
+    assert ended or "not moved: 1.0 sigma" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(("times", "ended"), [(1.0, 0), (0.1, 1)])
@@ -573,19 +551,10 @@ def test_check_of_halves_ends_with_its_finding(here, times, ended, monkeypatch, 
     assert ("TOO NARROW" in capsys.readouterr().out) == bool(ended)
 
 
-@pytest.mark.parametrize(
-    ("K", "size", "words"),
-    [
-        ("600 600 120 320", (640, 240), r"\(120, 320\) px .* 640 x 240: are cx and cy exch"),
-        ("900 320 900 240", (640, 480), "the order is fx fy cx cy"),
-        ("900 900 960 540", (640, 360), r"was the picture resized\? .* \(about 1920 x 1080\)"),
-        ("900 900 639.5 359.5", (640, 360), r"was the picture resized\? .* \(about 1280 x 720\)"),
-        ("900 900 -3 540", (640, 360), "inside the picture, .* was the picture resized"),
-    ],
-)
-def test_principal_point_outside_the_picture_is_refused(K, size, words):
-    with refusal(rf"`--K`: expected a principal point .*{words}"):
-        start_of(f"--K {K}", size)
+@pytest.mark.parametrize("K", ["600 600 120 320", "900 320 900 240", "900 900 -3 120"])
+def test_principal_point_outside_the_picture_is_refused(K):
+    with refusal("`--K`: expected a principal point inside .* fx fy cx cy.* `--resize` with the"):
+        start_of(f"--K {K}", (640, 240))
 
 
 @pytest.mark.parametrize(
@@ -595,9 +564,7 @@ def test_principal_point_outside_the_picture_is_refused(K, size, words):
         ("--K 90 91 44 46", ""),
         ("--K 90 91 96 80 --resize 192 160", ""),
         ("--K 90 91 300 20 --crop 250 0 96 80", ""),
-        ("--K 90 91 60 40", "+12, +0 px from the middle, at (60, 40) px in a picture"),
-        ("--K 90 91 38 50", "are cx and cy exchanged?"),
-        ("--K 90 91 24 20", "the size that `--K` belongs to: `--resize` W H (about 48 x 40)"),
+        ("--K 90 91 60 40", "far from the middle, at (60, 40) px in a picture of 96 x 80: is the"),
         ("--fov 4", ""),
         ("--fov 1.2", "note: `--fov`: got 1.2: degrees?"),
     ],

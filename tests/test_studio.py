@@ -25,7 +25,7 @@ import pinhole_jax as pj
 from pinhole_jax import __main__ as command
 from pinhole_jax._camera.axes import axes_of
 from pinhole_jax._studio import drawing, hand, session, strokes
-from pinhole_jax._studio.bench import ACTIONS, Bench
+from pinhole_jax._studio.bench import Bench
 from pinhole_jax._studio.strokes import LoadedMask, Stroke
 from pinhole_jax._studio.workpiece import Workpiece, mesh_file, photo_file, workpiece_of
 
@@ -86,16 +86,12 @@ def do(bench: Bench, action: str, /, **numbers):
 
 @pytest.mark.parametrize("radius", [0.4, 3.0, 10.5])
 def test_stroke_covers_the_pixels_around_its_points(radius):
-    points = ((12.0, 20.0), (50.0, 33.5))
-    drawn = strokes.draw_strokes(
-        [Stroke("add", radius, points)], {"add": 7}, np.zeros((48, 60), np.uint8)
-    )
-    centres = np.stack(np.mgrid[:60, :48], axis=-1).transpose(1, 0, 2) + 0.5
-    line = np.linspace(*points, 1000)
-    far = cdist(centres.reshape(-1, 2), line).min(axis=1).reshape(48, 60)
+    ends, none = ((12.0, 20.0), (50.0, 33.5)), np.zeros((48, 60), np.uint8)
+    drawn = strokes.draw_strokes([Stroke("add", radius, ends)], {"add": 7}, none)
+    centres = np.argwhere(none == 0)[:, ::-1] + 0.5
+    far = cdist(centres, np.linspace(*ends, 1000)).min(axis=1).reshape(48, 60)
     assert np.all(drawn[far < radius - 1] == 7)
     assert not np.any(drawn[far > max(radius, 0.5) + 1])
-    assert np.any(drawn == 7)
 
 
 def overlap(mask, truth):
@@ -112,17 +108,14 @@ def test_strokes_on_the_object_tell_it_from_the_background(size, back):
     truth = np.hypot((x - 0.45 * W) / W, (y - 0.5 * H) / H) < 0.28
     noise = np.random.default_rng(0).normal(0, 6, (H, W, 3))
     photo = np.where(truth[..., None], [200, 60, 40], [90, 120, 90]) + noise
-    place = lambda *points: tuple((a * W, b * H) for a, b in points)
-    guides = [Stroke("object", W / 60, place((0.35, 0.5), (0.55, 0.5)))]
-    guides += [Stroke("background", W / 60, place((0.05, 0.1), (0.95, 0.1)))] * back
+    line = lambda kind, y, *x: Stroke(kind, W / 60, tuple((a * W, y * H) for a in x))
+    guides = [line("object", 0.5, 0.35, 0.55), *[line("background", 0.1, 0.05, 0.95)] * back]
     found = strokes.guess_mask(np.clip(photo, 0, 255).astype(np.uint8), guides)
-    assert found.dtype == np.uint8
     assert overlap(found, truth) > 0.985
 
 
 def test_guess_follows_the_strokes_alone_where_they_say_all():
     photo = np.zeros((20, 30, 3), np.uint8)
-    assert strokes.guess_mask(photo, []) is None
     assert strokes.guess_mask(photo, [Stroke("background", 2.0, ((5, 5),))]) is None
     assert np.all(strokes.guess_mask(photo, [Stroke("object", 50.0, ((15, 10),))]) == 255)
 
@@ -140,29 +133,24 @@ def seen(camera: pj.Camera, points) -> np.ndarray:
 @pytest.mark.parametrize("lens", [None, BENT])
 def test_camera_turn_looks_like_an_object_turn(lens):
     before = camera(lens)
-    right, up, clockwise = 0.3, -0.2, 0.5
     b1, b2, v = axes_of(before)
-    turn = Rotation.from_rotvec(right * b2 - up * b1 + clockwise * v)
-    after = hand.turn_object(before, CENTRE, right, up, clockwise)
+    turn = Rotation.from_rotvec(0.3 * b2 + 0.2 * b1 + 0.5 * v)
+    after = hand.turn_object(before, CENTRE, 0.3, -0.2, 0.5)
     turned = CENTRE + turn.apply(POINTS - CENTRE)
     assert_allclose(seen(after, POINTS), seen(before, turned), atol=1e-9)
 
 
-@pytest.mark.parametrize("aspect", [1.0, 1.3])
-def test_shift_is_in_pixels(aspect):
-    lens = None if aspect == 1 else pj.Lens([32.0, 32.0], aspect)
-    before = camera(lens)
-    after = hand.shift_object(before, CENTRE, 5.0, 3.0)
-    assert_allclose(seen(after, CENTRE) - seen(before, CENTRE), [5, -3], atol=1e-9)
+@pytest.mark.parametrize("lens", [None, pj.Lens([32.0, 32.0], 1.3)])
+def test_shift_is_in_pixels(lens):
+    after = hand.shift_object(camera(lens), CENTRE, 5.0, 3.0)
+    assert_allclose(seen(after, CENTRE) - seen(camera(lens), CENTRE), [5, -3], atol=1e-9)
 
 
 def test_nearer_is_nearer_and_no_nearer_than_there_is_room():
-    extent = hand.Extent(CENTRE, 0.5)
-    away = lambda c: np.asarray(c.e) - CENTRE
-    after = hand.scale_distance(camera(), extent, 0.5)
-    assert_allclose(away(after), 0.5 * away(camera()))
-    least = np.linalg.norm(away(hand.scale_distance(camera(), extent, 0.0)))
-    assert least == pytest.approx(hand.NEAREST * 0.5)
+    extent, away = hand.Extent(CENTRE, 0.5), lambda c: np.asarray(c.e) - CENTRE
+    assert_allclose(away(hand.scale_distance(camera(), extent, 0.5)), 0.5 * away(camera()))
+    nearest = away(hand.scale_distance(camera(), extent, 0.0))
+    assert np.linalg.norm(nearest) == pytest.approx(hand.NEAREST * 0.5)
 
 
 def test_field_of_view_changes_keep_the_size():
@@ -182,23 +170,20 @@ def test_framed_object_is_inside_the_picture_and_upright(up, front, size):
     places = seen(framed, POINTS)
     assert np.all((places > 0) & (places < size))
     assert np.ptp(places, axis=0).max() > 0.2 * min(size)
-    x, y = seen(framed, extent.centre + 0.1 * np.eye(3)["xyz".index(up)]) - seen(
-        framed, extent.centre
-    )
-    assert (x, y > 0) == (pytest.approx(0, abs=1e-9), True)
+    higher = extent.centre + 0.1 * np.eye(3)["xyz".index(up)]
+    x, y = seen(framed, higher) - seen(framed, extent.centre)
+    assert (abs(x) < 1e-9) & (y > 0)
     assert (np.asarray(framed.e) - extent.centre) @ front > 0
 
 
 def test_lens_is_changed_by_its_numbers_and_dropped_when_trivial():
     bent = hand.with_lens(camera(), {"k1": -0.1, "principal_x": 30.0})
-    assert bent.lens is not None
     assert_allclose(bent.lens.principal_point, [30, 32])
-    assert bent.lens.distortion is not None
-    assert bent.lens.distortion.coefficients()["k1"] == -0.1
+    assert bent.distortion.coefficients()["k1"] == -0.1
     assert hand.with_lens(bent, {"k1": 0.0, "principal_x": 32.0}).lens is None
-    assert hand.with_lens(bent, {"k1": 0.0}).lens.distortion is None
+    assert hand.with_lens(bent, {"k1": 0.0}).distortion is None
     eye = camera(pj.Lens([32.0, 32.0], 1.0, pj.Fisheye(0.01)))
-    assert isinstance(hand.with_lens(eye, {"k1": 0.02}).lens.distortion, pj.Fisheye)
+    assert isinstance(hand.with_lens(eye, {"k1": 0.02}).distortion, pj.Fisheye)
     with refusal(r"`lens`: expected some of principal_x.*, got k9"):
         hand.with_lens(camera(), {"k9": 1.0})
 
@@ -209,23 +194,16 @@ def test_lens_is_changed_by_its_numbers_and_dropped_when_trivial():
 @pytest.mark.parametrize("bent", [None, BENT.distortion, pj.Fisheye(0.05, 0.01, -0.01, 0.002)])
 def test_numbers_for_the_shader_are_the_camera_as_opencv_has_it(bent):
     lens = None if bent is None else pj.Lens([30.0, 35.0], 1.1, bent)
-    numbers = json.loads(json.dumps(drawing.camera_numbers(camera(lens))))
-    (x, y), R = numbers["principal"], np.diag([1, -1, -1]) @ numbers["axes"] * [[1], [1], [-1]]
+    numbers = drawing.camera_numbers(camera(lens))
+    assert numbers["model"] == (None if bent is None else type(bent).__name__)
+    (x, y), R = numbers["principal"], np.diag([1, -1, 1]) @ numbers["axes"]
     K = np.diag([*numbers["focal"], 1.0])
     K[:2, 2] = x, H - y
-    order = "k1 k2 k3 k4" if isinstance(bent, pj.Fisheye) else "k1 k2 p1 p2 k3"
-    known = np.array([numbers["distortion"].get(name, 0.0) for name in order.split()])
-    project = cv2.fisheye.projectPoints if isinstance(bent, pj.Fisheye) else cv2.projectPoints
+    model = cv2.fisheye if numbers["model"] == "Fisheye" else cv2
+    known = np.array([*numbers["distortion"].values()])
     place = cv2.Rodrigues(R)[0], -R @ numbers["eye"]
-    found = project(POINTS[:, None], *place, K, known)[0][:, 0]
+    found = model.projectPoints(POINTS[:, None], *place, K, known)[0][:, 0]
     assert_allclose(found, seen(camera(lens), POINTS) * [1, -1] + [0, H], atol=1e-9)
-    assert numbers["model"] == (None if bent is None else type(bent).__name__)
-
-
-def test_outline_on_the_page_is_that_of_the_library(scene):
-    lines = pj.plot.outline(camera(), scene) * [1, -1] + [0, H]
-    found = drawing.outline_lines(camera(), scene)
-    assert found == lines.round(2).reshape(-1, 4).tolist()
 
 
 def straightened(points, lens: pj.Lens) -> np.ndarray:
@@ -283,10 +261,9 @@ def one_session() -> session.Session:
     return session.Session("part.obj", "photo.png", camera(BENT), ("pose", "phi"), work, lines)
 
 
-def test_session_comes_back_from_its_file(tmp_path):
+def test_session_comes_back_from_its_text():
     was = one_session()
-    session.save_session(tmp_path / "a.json", was)
-    again = session.load_session(tmp_path / "a.json")
+    again = session.session_from_text(session.session_to_text(was))
     loaded = again.work[1].mask
     assert_array_equal(loaded, was.work[1].mask)
     for a, b in zip(jax.tree.leaves(again.camera), jax.tree.leaves(was.camera), strict=True):
@@ -302,23 +279,21 @@ def stroke(**changes):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"schema": "other"}, "`schema`: expected 'pinhole_jax.studio/1', got 'other'"),
-        ({"mesh": 3}, "`mesh`: expected a path, got 3"),
-        ({"photo": ""}, "`photo`: expected a path, got ''"),
+        ({"schema": "other"}, "`schema`: expected one of pinhole_jax.studio/1, got 'other'"),
+        ({"mesh": 3}, "`mesh`: expected a text, got 3"),
         ({"camera": {}}, "`e`: expected a camera's field"),
-        ({"free": ["nose"]}, "`free`: expected names among .*, got 'nose'"),
+        ({"known_phi": 4}, "`known_phi`: expected an angle"),
+        ({"free": ["nose"]}, r"`free`: expected some of .*, got \['nose'\]"),
         ({"strokes": {}}, "`strokes`: expected a list"),
-        (stroke(kind="paint"), "`kind`: expected one of object, background, add, erase, got 'pain"),
-        ({"strokes": [3]}, "`kind`: expected one of .*, got 3"),
-        ({"strokes": [{"kind": "add"}]}, "`points`: expected a radius_px and points"),
-        (stroke(points=[[1]]), "`points`: expected a radius_px and"),
-        (stroke(radius_px=0), "positive radius, got 1 points"),
-        (stroke(points=[]), "got 0 points"),
-        (stroke(points=[[1, 1e9]]), "expected places on the picture"),
+        ({"strokes": [3]}, "`stroke`: expected a `kind` among object, background, .* got 3"),
+        (stroke(kind="paint"), "`stroke`: .* got {'kind': 'paint'"),
+        (stroke(points=[[1]]), "`stroke`: .* `points`"),
+        (stroke(radius_px=0), "`stroke`: .* a `radius_px` above 0"),
+        (stroke(points=[]), "`stroke`: .* 1 to 100000 `points`"),
+        (stroke(points=[[1, 1e9]]), "`stroke`: .* on the picture"),
         ({"strokes": [{"mask": "no picture"}]}, "`mask`: expected a PNG file in base64"),
         ({"strokes": [{"mask": png(np.zeros((3, 3), np.uint8))}]}, "`mask`: expected 8 bits, 64 x"),
         ({"lines": [[1, 2]]}, "`line`: expected 4 finite numbers"),
-        ({"lines": [[[1, 2], [1e9, 2]]]}, "`line`: expected places on the picture"),
     ],
 )
 def test_bad_session_is_refused_by_name(changes, words):
@@ -328,21 +303,17 @@ def test_bad_session_is_refused_by_name(changes, words):
     assert "some.json" in str(caught.value)
 
 
-def test_list_is_no_session():
-    with refusal(r"`schema`: expected .*, got 'list'"):
-        session.session_from_text("[]")
-
-
 # A tab's actions.
 
 
 def test_page_gets_all_that_it_shows(bench):
     told = do(bench, "hello")
-    assert (told["W"], told["H"], told["fit"]) == (W, H, None)
+    assert (told["W"], told["H"], told["fit"], told["mask"]["png"]) == (W, H, None, None)
     assert told["formats"] == list(pj.formats.FORMATS)
-    assert told["mask"]["png"] is None
     assert len(told["view"]["outline"]) > 0
-    assert all(callable(getattr(bench, name)) for name in ACTIONS if name != "stop")
+
+
+SMALL = png(np.zeros((20, 10), np.uint8))
 
 
 @pytest.mark.parametrize(
@@ -351,31 +322,19 @@ def test_page_gets_all_that_it_shows(bench):
         ("__init__", {}, "`do`: expected one of hello, .*, got '__init__'"),
         ("stand", {"down": "y"}, "`stand`: "),
         ("stand", {"up": "w"}, "`up`: expected one of x, y, z, got 'w'"),
-        (
-            "load_mask",
-            {"data": png(np.zeros((20, 10), np.uint8))},
-            "`mask`: expected the photo's size 64 x 64, got 10 x 20",
-        ),
+        ("load_mask", {"data": SMALL}, "`mask`: expected the photo's size 64 x 64, got 10 x 20"),
         ("load_mask", {"data": "bm8=", "name": "a.png"}, "readable image .* got 'a.png'"),
         ("move", {"turn": [1, 2]}, "`turn`: expected 3 finite numbers"),
-        ("move", {"shift": ["a", 2]}, "`shift`: expected 2 finite numbers"),
         ("move", {"nearer": 0}, "`nearer`: expected a positive factor, got 0"),
-        ("lens", {"phi_degrees": None, "k1": "x"}, "`lens`: expected 1 finite numbers"),
         ("lens", {"phi_degrees": 190}, "`phi`: expected an angle"),
         ("undo", {}, "nothing to undo"),
         ("redo", {}, "nothing to redo"),
         ("restore", {}, "there is no result yet"),
-        ("way", {}, "there is no result yet"),
         ("mode", {"number": 0}, "`number`: expected one of 0 cameras"),
         ("fit", {"free": ["pose"]}, "there is no mask yet"),
-        (
-            "export",
-            {"format": "fbx", "name": "a"},
-            "`format`: expected one of all.*'fbx'",
-        ),
+        ("export", {"format": "fbx", "name": "a"}, "`format`: expected one of all.*'fbx'"),
         ("export", {"format": "json", "name": "../a"}, "`name`: expected letters.*, got '../a'"),
-        ("save", {"name": "a", "free": []}, "`free`: expected at least one of"),
-        ("save", {"name": "", "free": ["pose"]}, "`name`: expected letters.*, got ''"),
+        ("save", {"name": "a", "free": []}, "`free`: expected some of"),
         ("save", {"name": ".a", "free": ["pose"]}, "`name`: expected letters"),
     ],
 )
@@ -398,19 +357,17 @@ def test_strokes_are_undone_and_redone(bench):
     assert do(bench, "clear")["png"] is None
     assert do(bench, "undo")["share"] > 0
     do(bench, "load_mask", data=png(np.full((H, W), 255, np.uint8)))
+    assert bench.mask.min() == 255  # in place of the strokes
     assert 0 < do(bench, "stroke", kind="erase", **at)["share"] < 1  # on top of it
     assert do(bench, "undo")["share"] == 1
 
 
-def test_view_guides_the_guess(bench, mask, monkeypatch):
+def test_view_guides_the_guess(bench, mask):
     bench.camera = camera(e=(1.1, 1.5, 5.0))
     told = do(bench, "view_guides")
-    with monkeypatch.context() as patch:  # what was guessed is kept
-        patch.setattr("pinhole_jax._studio.bench.guess_mask", lambda photo, guides: None)
-        assert not do(bench, "undo")["png"]
-        assert do(bench, "redo")["png"] == told["png"]
     assert {guide["kind"] for guide in told["guides"]} == {"object", "background"}
     assert overlap(bench.mask, mask > 0.5) > 0.97
+    assert not do(bench, "undo")["png"]
     bench.camera = pj.Camera([0, 0, 50], [0, 0, 99], [0, 1, 0], 0.6, 1.0, W, H)
     with refusal("the object is not in the picture"):
         do(bench, "view_guides")
@@ -525,15 +482,12 @@ def test_fit_with_a_given_field_of_view_is_converged(fitted):
 @pytest.mark.long
 def test_modes_are_chosen_by_number(fitted):
     do(fitted, "fit", free=["pose"])
-    best = fitted.result
-    other = best._replace(camera=camera(e=(-1, 0, 5)), iou=0.9)
-    fitted._candidates = (best._replace(status="ambiguous", modes=(other,)), other)
-    told = do(fitted, "mode", number=1)
-    assert told["fit"]["modes"] == [best.iou, 0.9]
-    assert told["fit"]["chosen"] == 1
-    assert told["fit"]["status"] == "ambiguous"
-    assert fitted.camera is other.camera
-    assert do(fitted, "mode", number=0)["fit"]["chosen"] == 0
+    best = fitted.result._replace(status="ambiguous")
+    fitted.fits = best, best._replace(camera=camera(e=(-1, 0, 5)), iou=0.9)
+    told = do(fitted, "mode", number=1)["fit"]
+    assert told["modes"] == [best.iou, 0.9]
+    assert (told["chosen"], told["status"]) == (1, "ambiguous")
+    assert fitted.camera is fitted.fits[1].camera
     with refusal("`number`: expected one of 2 cameras, got 2"):
         do(fitted, "mode", number=2)
 
@@ -556,12 +510,9 @@ def test_session_goes_on_in_another_tab(fitted, tmp_path):
     do(other, "stroke", kind="add", radius_px=2, points=[[1, 1]])
     told = do(other, "open", text=Path(path).read_text(), name="work.json")
     assert_array_equal(other.mask, fitted.mask)
-    assert told["free"] == ["pose", "phi"]
-    assert len(told["view"]["lines"]) == 1
-    angle, shift = pj.pose_error(other.camera, fitted.camera)
-    assert max(float(angle), float(shift)) < 1e-12
-    do(other, "undo")
-    assert_array_equal(other.mask, do(fitted, "undo") and fitted.mask)
+    assert (told["free"], len(told["view"]["lines"])) == (["pose", "phi"], 1)
+    assert max(map(float, pj.pose_error(other.camera, fitted.camera))) < 1e-12
+    assert do(other, "undo")["png"] == do(fitted, "undo")["png"]
     do(other, "undo")
     with refusal("nothing to undo"):  # the session before is gone
         do(other, "undo")
@@ -701,15 +652,13 @@ def test_command_without_aiohttp_names_the_extra(monkeypatch, capsys, workpiece)
         ("--session s.json --fov 30", "`--session`: expected no MESH, PHOTO"),
         ("--session part.obj", "`--session`: expected "),
         ("part.obj photo.png --port 70000", "`--port`: expected a port, 0 to 65535, got 70000"),
-        ("part.obj photo.png --fov 300", "`--fov`: expected degrees between 0 and 180"),
-        ("part.obj photo.png --dist 1 2 3 4", "`--dist`: expected `--K` with it"),
         ("part.obj photo.png --mask small.png", "`--mask`: expected the photo's size 64 x 64"),
     ],
 )
 def test_command_says_what_is_wrong(arguments, words, capsys, workpiece, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     kept = one_session()._replace(mesh=workpiece.mesh, photo=workpiece.photo)
-    session.save_session("s.json", kept)
+    pj.io.save_text("s.json", session.session_to_text(kept))
     pj.io.save_image("small.png", np.eye(8))
     assert main(arguments) == 2
     assert re.search(words, capsys.readouterr().err)
@@ -734,11 +683,9 @@ def test_command_passes_its_options_to_the_bench(monkeypatch, workpiece, tmp_pat
 
     monkeypatch.setattr(server, "serve", serve)
     pj.io.save_image(tmp_path / "mask.png", np.pad(np.ones((20, 20)), 22))
-    words = (
-        f"{workpiece.mesh} {workpiece.photo} --mask {tmp_path}/mask.png --up z {fov} --port 1234"
-    )
-    assert main(words) == 0
+    files = f"{workpiece.mesh} {workpiece.photo} --mask {tmp_path}/mask.png"
+    assert main(f"{files} --up z {fov} --port 1234") == 0
     (bench,) = benches
-    assert float(bench.mask.mean()) == pytest.approx(255 * 400 / W / H)
+    assert np.sum(bench.mask == 255) == 400
     assert float(bench.camera.phi) == pytest.approx(phi)
-    assert float(axes_of(bench.camera)[1] @ [0, 0, 1]) > 0.8
+    assert axes_of(bench.camera)[1][2] > 0.8

@@ -32,9 +32,9 @@ def test_frames_are_tracked_from_one_to_the_next(frames, monkeypatch):
     starts = []
     fit_camera = pj.fit_camera
 
-    def seen(scene, mask, camera=None, **more):
+    def seen(scene, target, camera=None, **more):
         starts.append(camera)
-        return fit_camera(scene, mask, cameras[0] if camera is None else camera, free="pose")
+        return fit_camera(scene, target, cameras[0] if camera is None else camera, free="pose")
 
     monkeypatch.setattr(pj, "fit_camera", seen)
     rows = pj.fit_many(records, track=True)

@@ -1,9 +1,7 @@
 """`pinhole-jax batch`: the cameras of a whole data set, and tables and files of them."""
 
 import argparse
-import contextlib
 import re
-import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -15,13 +13,11 @@ from .._files.progress import Ticker
 from ..batch import (
     NO_FIT,
     Count,
-    Dataset,
     Results,
     fit_many,
     fit_of,
     merge,
     read_dataset,
-    shard_of,
 )
 from ..batch.inputs import check_fov
 from .options import record_of
@@ -57,60 +53,33 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
 
 def _fit(options: argparse.Namespace, results: Results, say: Callable[[str], Any]) -> None:
     """Fit the records that have no row yet."""
-    shard = _shard(options.shard)
-    data = _dataset(options)
     resume = options.resume or options.retry is not None
-    if not resume and not results.ids().isdisjoint(_ids(data, shard)):
+    if not resume and len(results):
         raise ValueError(
-            f"`output`: expected a folder without rows of DATASET, got {options.output!r}; continue"
-            " that run with --resume"
+            f"`output`: expected a folder without rows, got {options.output!r}; continue that run"
+            " with --resume"
         )
+    data = read_dataset(
+        options.dataset,
+        start=options.start,
+        models=options.models,
+        detections=options.detections,
+        **record_of(options),
+    )
     say("counting records")
     on_step: Callable[[Count], Any] = lambda count: say(str(count))
-    with interrupts_raise(), _sigterm_interrupts():
+    with interrupts_raise():
         fit_many(
             data,
             track=options.track,
             workers=options.workers,
             out=options.output,
             progress=on_step,
-            shard=shard,
+            shard=_shard(options.shard),
             time_limit=options.time_limit or None,
             cached=not options.no_cache,
             retry=_statuses(options.retry),
         )
-
-
-@contextlib.contextmanager
-def _sigterm_interrupts() -> Iterator[None]:
-    """Treat a scheduler's SIGTERM as Ctrl-C: finished rows are written first."""
-
-    def interrupted(number: int, frame: Any) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, interrupted)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
-def _dataset(options: argparse.Namespace) -> Dataset:
-    fields = record_of(options)
-    if "dist" in fields and "K" not in fields:
-        raise ValueError("`dist`: expected `K` with it, got none")
-    return read_dataset(
-        options.dataset,
-        start=options.start,
-        models=options.models,
-        detections=options.detections,
-        **fields,
-    )
-
-
-def _ids(data: Dataset, shard: tuple[int, int]) -> Iterator[str]:
-    number, count = shard
-    return (r["id"] for r in data if shard_of(r["id"], count) == number - 1)
 
 
 def _statuses(text: str | None) -> list[str]:

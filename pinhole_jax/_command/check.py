@@ -48,15 +48,22 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
     is_robot = options.mesh.lower().endswith(".urdf")
     subject = (_robot if is_robot else _mesh)(options, progress)
     whole = subject.fitted(subject.data, before)
-    fit = _camera_fit(whole)
+    fit = whole if isinstance(whole, Fit) else whole.cameras["camera"]
+    fit = fit._replace(status=whole.status)
     if fit.status == "non_finite":
         progress.done()
         print("cannot tell: NaN or infinity turned up")
         return UNTOLD
-    found = _split(subject, whole, fit, progress) if options.split else _motion(fit, reference)
+    if options.split:
+        progress.say("fitting each half")
+        refit = lambda half: subject.fitted(half, fit.camera)
+        finding = split_check(refit, subject.halved(whole))
+        is_told, is_fine = finding.is_conclusive, finding.agrees
+    else:
+        finding = drift(fit, reference)
+        is_told, is_fine = fit.status == "converged", not finding.moved
     progress.done()
-    words, untold, wrong = found
-    print(words)
+    print(finding)
     print(f"status     {fit.status}   ({STATUSES[fit.status]})")
     for weak in fit.weak:
         print(f"weak       {weak}")
@@ -65,33 +72,7 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
         with named(path="output"):
             io.save_fit(options.output, fit)
         print(words)
-    return UNTOLD if untold else int(wrong)
-
-
-class Finding(NamedTuple):
-    """What to print; whether the question stays open; whether something is wrong."""
-
-    words: str
-    untold: bool
-    wrong: bool
-
-
-def _motion(fit: Fit, reference: Camera | Fit) -> Finding:
-    motion = drift(fit, reference)
-    return Finding(str(motion), fit.status != "converged", motion.moved)
-
-
-def _split(subject: CheckData, whole: Fit | JointFit, fit: Fit, progress: Ticker) -> Finding:
-    progress.say("fitting each half")
-    refit = lambda half: subject.fitted(half, fit.camera)
-    check = split_check(refit, subject.halved(whole))
-    return Finding(str(check), not check.is_conclusive, not check.agrees)
-
-
-def _camera_fit(fit: Fit | JointFit) -> Fit:
-    if isinstance(fit, Fit):
-        return fit
-    return fit.cameras["camera"]._replace(status=fit.status)
+    return int(not is_fine) if is_told else UNTOLD
 
 
 def _reference(path: str) -> Camera | Fit:

@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import pinhole_jax as pj
+
 from .. import Fit, formats, io, report
 from .._files.naming import named
 from .._files.progress import Clock, Ticker
@@ -22,10 +24,12 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
     if options.refine and options.image is None:
         raise ValueError("`refine`: expected a photo, got none: add --image PHOTO")
     inputs = read_inputs(record_of(options), progress.tell)
-    scene, mask, centres = inputs.scene, inputs.mask, options.pixel_centres
+    scene, mask, centres = inputs.scene, inputs.target, options.pixel_centres
     picture = mask if inputs.photo is None else inputs.photo
+    if not options.refine:
+        inputs = inputs._replace(photo=None)
     progress.say("fitting (the first time compiles, some seconds)")
-    fit = inputs.fit(options.refine, record=options.report is not None)
+    fit = pj.fit_camera(**inputs._asdict(), record=options.report is not None)
 
     progress.say("drawing")
     drawing = overlay(picture, fit.camera, scene)

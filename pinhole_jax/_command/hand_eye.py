@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from .. import Camera, JointFit, JointView, drift, fit_joint, io
+from .. import Camera, JointFit, JointView, fit_joint, io, split_check
 from .._files.naming import named
 from .._files.progress import Clock, Ticker
 from ..batch.inputs import poseless_camera, read_mask, read_photo, read_start
@@ -29,6 +29,8 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
     views = read_views(robot, options, progress.tell)
     masks = [np.asarray(view.target) for view in views]
     pictures = _pictures(options, masks)
+    if options.holdout and len(views) < 2:
+        raise ValueError("`holdout`: expected at least two postures, got one")
     if options.refine:
         views = [v._replace(photo=p) for v, p in zip(views, pictures, strict=True)]
     proposed = None if options.propose is None else _proposed_sights(robot, options)
@@ -37,11 +39,17 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
     progress.say(f"fitting {len(views)} views (the first time compiles, some seconds)")
     zeros = joint_zeros(options)
     fit = fit_joint(views, camera, options.free, search=search, joint_zeros=zeros)
-    halves = _halves(fit, views, options) if options.holdout else None
+    halves = None
+    if options.holdout:
+        refit = lambda half: fit_joint(half, fit.camera, options.free, joint_zeros=zeros)
+        halves = str(split_check(refit, (views[::2], views[1::2])))
     finite = fit.status != "non_finite"
     helpful = None
     if proposed is not None and finite:
-        helpful = best_postures(_worths(fit, views, options, proposed))
+        known, free = fit.cameras["camera"], options.free.split(",")
+        scenes, mounts = [view.scene for view in fit.views], [view.mount for view in views]
+        seen: Any = [*zip(scenes, mounts, strict=True)]
+        helpful = best_postures(worths(known.camera, known.covariance, free, seen, proposed))
 
     progress.done()
     print(fit)
@@ -114,23 +122,12 @@ def _proposed_sights(robot: Robot, options: argparse.Namespace) -> list[Sight]:
     return [_sight(robot, angles, options.in_hand, "propose") for angles in postures]
 
 
-def _worths(
-    fit: JointFit, views: list[JointView], options: argparse.Namespace, proposed: list[Sight]
-) -> list[float]:
-    """Return the factor by which a mask of each proposed posture would reduce the errors."""
-    fitted, free = fit.cameras["camera"], options.free.split(",")
-    mounts = [None if view.mount is None else np.asarray(view.mount) for view in views]
-    seen = [(view.scene, mount) for view, mount in zip(fit.views, mounts, strict=True)]
-    return worths(fitted.camera, fitted.covariance, free, seen, proposed)
-
-
 def _most_worth(fit: JointFit) -> str:
     """Return a sentence on the view that matters most."""
-    best = max(range(len(fit.views)), key=lambda k: fit.views[k].worth)
-    worth = fit.views[best].worth
+    worth, best = max((view.worth, -number) for number, view in enumerate(fit.views))
     if not np.isfinite(worth):
-        return f"without view {best} the masks would not determine the pose"
-    return f"without view {best} standard errors of the pose would be {worth:.2f} times as large"
+        return f"without view {-best} the masks would not determine the pose"
+    return f"without view {-best} standard errors of the pose would be {worth:.2f} times as large"
 
 
 def _start(
@@ -140,21 +137,6 @@ def _start(
     H, W = mask.shape
     camera, phi, lens = read_start(record_of(options), (W, H), say)
     return (poseless_camera(phi, W, H, lens), True) if camera is None else (camera, False)
-
-
-def _halves(fit: JointFit, views: list[JointView], options: argparse.Namespace) -> str:
-    """Return a sentence on the distance between the fits to each half of the views."""
-    if len(views) < 2:
-        return "expected at least two views"
-    zeros = joint_zeros(options)
-    first, second = (
-        fit_joint(half, fit.camera, options.free, joint_zeros=zeros).cameras["camera"]
-        for half in (views[::2], views[1::2])
-    )
-    gap = drift(first, second)
-    words = f"{np.rad2deg(gap.angle):.2g} degrees, {gap.distance:.2g} (unit of the URDF) apart"
-    verdict = "they do not agree" if gap.moved else "they agree"
-    return f"each half of the views by itself: {words}, {gap.size}: {verdict}"
 
 
 def _pictures(options: argparse.Namespace, masks: list[np.ndarray]) -> list[np.ndarray]:

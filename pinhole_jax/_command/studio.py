@@ -12,7 +12,7 @@ from .. import io
 from .._files.naming import named
 from .._files.progress import Ticker
 from .._studio.bench import Bench
-from .._studio.session import Session, load_session
+from .._studio.session import MOST_BYTES, Session, session_from_text
 from .._studio.workpiece import Workpiece, workpiece_of
 from ..batch.inputs import Start, read_mask, read_start
 from .options import record_of
@@ -31,7 +31,8 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
     session = None
     if options.session is not None:
         with named(path="session"):
-            session = load_session(options.session)
+            text = io.load_text(options.session, most_bytes=MOST_BYTES)
+            session = session_from_text(text, options.session)
     workpiece = _workpiece(options, session, tell)
     mask = None
     if options.mask is not None:

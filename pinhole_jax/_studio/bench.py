@@ -10,7 +10,7 @@ import math
 import tempfile
 import threading
 from collections.abc import Callable, Sequence
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -20,24 +20,27 @@ from .. import Camera, Fit, Progress, fit_camera, io, silhouette
 from ..batch.inputs import numbers_of
 from ..formats import FORMATS
 from . import hand
-from .descriptions import fit_description, mask_description, with_held_phi
+from .descriptions import fit_description, mask_description, with_assumed_phi
 from .drawing import camera_numbers, grid_lines, outline_lines, straight_lines
 from .exports import export, path_words, plain
-from .session import Session, free_of, line_of, save_session, session_from_text
+from .session import Session, free_of, line_of, session_from_text, session_to_text
 from .strokes import (
+    GUIDES,
     LoadedMask,
     Stroke,
     Work,
     guess_mask,
     guides_around,
-    guides_of,
     mask_of,
     stroke_of,
+    strokes_of,
 )
 from .workpiece import Workpiece, workpiece_of
 
+#: What the page is told, as JSON holds it.
+Answer = dict[str, Any]
 #: The actions that the page may call.
-ACTIONS = (
+ACTIONS = [
     "hello",
     "look",
     "move",
@@ -58,7 +61,7 @@ ACTIONS = (
     "export",
     "save",
     "open",
-)
+]
 #: The number of steps to undo, and of guesses from strokes that are kept for them.
 MOST_UNDONE, MOST_GUESSES = 200, 16
 
@@ -75,18 +78,30 @@ class Bench:
         self.camera: Camera = workpiece.start
         self.known_phi = workpiece.phi
         self.free: tuple[str, ...] = ("pose",) if self.known_phi is not None else ("pose", "phi")
-        self.work: Work = ()
         self.lines: tuple[Any, ...] = ()
-        self.result: Fit | None = None
         self.mask: np.ndarray | None = None
-        self._candidates: tuple[Fit, ...] = ()
-        self._phi_was_free, self._held_phi = False, None
+        #: The last fit with all its cameras, and the number of the one that was chosen.
+        self.fits: tuple[Fit, ...] = ()
+        self.chosen = 0
+        self._phi_was_free, self._assumption = False, ""
         self._guess = _guesses_of(workpiece)
-        self._redo_stack: list[Work] = []
-        self._undo_stack: list[Work] = []
+        #: All states of the work that can be gone back to, and the place of the current one.
+        self._works: list[Work] = [()]
+        self._at = 0
         self._straight = False
+        self._push: Callable[[Any], None] = lambda news: None
         self._stopping = threading.Event()
-        self._lock, self._fits = threading.Lock(), False
+        self._lock, self._is_fitting = threading.Lock(), False
+
+    @property
+    def work(self) -> Work:
+        """Return the strokes and masks, in order."""
+        return self._works[self._at]
+
+    @property
+    def result(self) -> Fit | None:
+        """Return the last fit, at the camera that was chosen."""
+        return self.fits[self.chosen] if self.fits else None
 
     def act(self, name: str, numbers: dict[str, Any], push: Callable[[Any], None]) -> Any:
         """Do an action and return its answer; `push` sends news to the page meanwhile.
@@ -98,23 +113,21 @@ class Bench:
         if name == "stop":
             self._stopping.set()
             return {}
-        if self._fits:
+        if self._is_fitting:
             raise ValueError("a fit is running: wait for it, or stop it")
         with self._lock:
             action = getattr(self, name)
-            if name == "fit":
-                numbers = {**numbers, "push": push}
             try:
                 inspect.signature(action).bind(**numbers)
             except TypeError as error:
                 raise ValueError(f"`{name}`: {error}") from None
-            self._fits = name == "fit"
+            self._push, self._is_fitting = push, name == "fit"
             try:
                 return action(**numbers)
             finally:
-                self._fits = False
+                self._is_fitting = False
 
-    def hello(self) -> dict[str, Any]:
+    def hello(self) -> Answer:
         """Return the contents of a page that opens."""
         W, H = self.workpiece.size
         return {
@@ -127,10 +140,10 @@ class Bench:
             "folder": str(self.folder),
             "view": self.look(),
             "mask": self._mask_description(),
-            "fit": None if self.result is None else self._fit_description(self.result),
+            "fit": self._fit_description(),
         }
 
-    def look(self) -> dict[str, Any]:
+    def look(self) -> Answer:
         """Return the view of the current camera."""
         camera = self.camera
         return {
@@ -143,15 +156,15 @@ class Bench:
             "phi_is_assumed": self._phi_from() == "assumed",
         }
 
-    def _phi_from(self) -> str | None:
-        """Return the origin of the field of view, None if a person, a file or the photo gave it."""
+    def _phi_from(self) -> str:
+        """Return the origin of the field of view, "" if a person, a file or the photo gave it."""
         is_ = lambda phi: math.isclose(float(self.camera.phi), float(phi), rel_tol=1e-6)
         if self.known_phi is not None and is_(self.known_phi):
-            return None
-        fitted = self._phi_was_free and any(is_(each.camera.phi) for each in self._candidates)
+            return ""
+        fitted = self._phi_was_free and any(is_(fit.camera.phi) for fit in self.fits)
         return "from an earlier fit" if fitted else "assumed"
 
-    def move(self, turn: Any = (0, 0, 0), shift: Any = (0, 0), nearer: Any = 1) -> dict[str, Any]:
+    def move(self, turn: Any = (0, 0, 0), shift: Any = (0, 0), nearer: Any = 1) -> Answer:
         """Turn the object (rad: right, up, clockwise), shift it (px: right, down), scale its
         distance."""
         moves = [*numbers_of("turn", turn, 3), *numbers_of("shift", shift, 2)]
@@ -166,12 +179,12 @@ class Bench:
         self.camera = camera if factor == 1 else hand.scale_distance(camera, extent, factor)
         return self.look()
 
-    def stand(self, up: str) -> dict[str, Any]:
+    def stand(self, up: str) -> Answer:
         """Look at the whole object, standing with its axis x, y or z upwards."""
         self.camera = hand.frame_object(self.camera, self.workpiece.extent, up)
         return self.look()
 
-    def lens(self, phi_degrees: Any = None, **changes: Any) -> dict[str, Any]:
+    def lens(self, phi_degrees: Any = None, **changes: Any) -> Answer:
         """Change the field of view, or numbers of the lens as `hand.with_lens` names them."""
         if phi_degrees is not None:
             (degrees,) = numbers_of("phi_degrees", phi_degrees, 1)
@@ -182,7 +195,7 @@ class Bench:
             self.camera = hand.with_lens(self.camera, dict(zip(changes, values, strict=True)))
         return self.look()
 
-    def straight(self, grid: Any, line: Any = None, clear: Any = False) -> dict[str, Any]:
+    def straight(self, grid: Any, line: Any = None, clear: Any = False) -> Answer:
         """Show a grid of straight lines or not; add a line through two places, or drop them all."""
         self._straight = bool(grid)
         if clear:
@@ -191,36 +204,36 @@ class Bench:
             self.lines = (*self.lines, line_of(line))
         return self.look()
 
-    def stroke(self, **data: Any) -> dict[str, Any]:
+    def stroke(self, **data: Any) -> Answer:
         """Draw: see `strokes.stroke_of`."""
         return self._push_work((*self.work, stroke_of(data)))
 
-    def view_guides(self) -> dict[str, Any]:
+    def view_guides(self) -> Answer:
         """Guide the guess by the view: object well within the outline, background well outside."""
         inside = np.asarray(silhouette(self.camera, self.workpiece.scene)) > 0.5
         if not np.any(inside):
             raise ValueError("the object is not in the picture: turn or shift it there first")
         return self._push_work((*self.work, *guides_around(inside)))
 
-    def undo(self) -> dict[str, Any]:
+    def undo(self) -> Answer:
         """Take back the last stroke or mask."""
-        if not self._undo_stack:
-            raise ValueError("nothing to undo")
-        self._redo_stack.append(self.work)
-        return self._set_work(self._undo_stack.pop())
+        return self._step(-1, "nothing to undo")
 
-    def redo(self) -> dict[str, Any]:
+    def redo(self) -> Answer:
         """Restore the stroke or mask that was taken back last."""
-        if not self._redo_stack:
-            raise ValueError("nothing to redo")
-        self._undo_stack.append(self.work)
-        return self._set_work(self._redo_stack.pop())
+        return self._step(1, "nothing to redo")
 
-    def clear(self) -> dict[str, Any]:
+    def _step(self, by: int, words: str) -> Answer:
+        if not 0 <= self._at + by < len(self._works):
+            raise ValueError(words)
+        self._at += by
+        return self._update_mask()
+
+    def clear(self) -> Answer:
         """Drop all strokes and masks."""
         return self._push_work(()) if self.work else self._mask_description()
 
-    def load_mask(self, data: str, name: str = "mask") -> dict[str, Any]:
+    def load_mask(self, data: str, name: str = "mask") -> Answer:
         """Take a mask from a picture's file (in base64)."""
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "mask"
@@ -231,7 +244,7 @@ class Bench:
                 raise ValueError(str(error).replace(str(path), name)) from error
         return self.take_mask(mask)
 
-    def take_mask(self, mask: np.ndarray) -> dict[str, Any]:
+    def take_mask(self, mask: np.ndarray) -> Answer:
         """Take a mask (H, W), uint8, in place of the strokes."""
         W, H = self.workpiece.size
         if mask.shape != (H, W):
@@ -239,13 +252,7 @@ class Bench:
             raise ValueError(f"`mask`: expected the photo's size {W} x {H}, got {size}")
         return self._push_work((*self.work, LoadedMask(mask)))
 
-    def fit(
-        self,
-        free: Sequence[str],
-        search: bool = False,
-        refine: bool = False,
-        push: Callable[[Any], None] | None = None,
-    ) -> dict[str, Any]:
+    def fit(self, free: Sequence[str], search: bool = False, refine: bool = False) -> Answer:
         """Fit the camera to the mask, from the current view or (`search`) from all views; then,
         with `refine`, to the photo."""
         if self.mask is None or not np.any(self.mask):
@@ -253,74 +260,72 @@ class Bench:
         self._stopping.clear()
         self.free = free_of(free)
         focal_is_free = not {"phi", "d"}.isdisjoint(self.free)
-        held = None if focal_is_free else self._phi_from()
-        start = None if search else self.camera
-        known: Any = {"phi": self.camera.phi, "lens": self.camera.lens} if search else {}
-        known["photo"] = self.workpiece.picture if refine else None
-        on_step = partial(self._on_step, push)
+        assumption = "" if focal_is_free else self._phi_from()
+
+        def on_step(progress: Progress) -> None:
+            if self._stopping.is_set():
+                raise StopRequest
+            self._push(self._stop_description(progress))
+
+        start: Any = {"camera": self.camera}
+        if search:
+            start = {"camera": None, "phi": self.camera.phi, "lens": self.camera.lens}
         try:
             fit = fit_camera(
                 self.workpiece.scene,
                 self.mask,
-                start,
-                self.free,
+                free=self.free,
+                photo=self.workpiece.picture if refine else None,
                 progress=on_step,
                 record=True,
-                **known,
+                **start,
             )
         except StopRequest:
             raise ValueError("stopped: the camera has not changed") from None
-        self._candidates = tuple(with_held_phi(each, held) for each in (fit, *fit.modes))
-        self._phi_was_free, self._held_phi = focal_is_free, held
-        self.result, self.camera = self._candidates[0], fit.camera
-        return {"fit": self._fit_description(self.result), "view": self.look()}
+        each = (mode._replace(status=fit.status, modes=fit.modes) for mode in (fit, *fit.modes))
+        self.fits = tuple(with_assumed_phi(mode, assumption) for mode in each)
+        self._phi_was_free, self._assumption = focal_is_free, assumption
+        return self.mode(0)
 
-    def _on_step(self, push: Callable[[Any], None] | None, progress: Progress) -> None:
-        if self._stopping.is_set():
-            raise StopRequest
-        if push is not None:
-            push(self._stop_description(progress))
-
-    def _stop_description(self, stop: Progress) -> dict[str, Any]:
+    def _stop_description(self, stop: Progress) -> Answer:
         return {
             "words": str(stop),
             "camera": camera_numbers(stop.camera),
             "outline": outline_lines(stop.camera, self.workpiece.scene),
         }
 
-    def way(self) -> dict[str, Any]:
+    def way(self) -> Answer:
         """Return each step of the last fit, from its start."""
-        if self.result is None or not self.result.history:
-            raise ValueError("there is no result yet: fit first")
-        return {"stops": [self._stop_description(stop) for stop in self.result.history]}
+        return {"stops": [self._stop_description(stop) for stop in self._fitted().history]}
 
-    def mode(self, number: Any) -> dict[str, Any]:
+    def mode(self, number: Any) -> Answer:
         """Take one of the cameras that fit the mask: 0 is the best, the others are its modes."""
-        if not (isinstance(number, int) and 0 <= number < len(self._candidates)):
-            count = len(self._candidates)
+        if not (isinstance(number, int) and 0 <= number < len(self.fits)):
+            count = len(self.fits)
             raise ValueError(f"`number`: expected one of {count} cameras, got {number!r}")
-        best = self._candidates[0]
-        self.result = self._candidates[number]._replace(status=best.status, modes=best.modes)
-        self.camera = self.result.camera
-        return {"fit": self._fit_description(self.result), "view": self.look()}
+        self.chosen, self.camera = number, self.fits[number].camera
+        return {"fit": self._fit_description(), "view": self.look()}
 
-    def restore(self) -> dict[str, Any]:
+    def restore(self) -> Answer:
         """Go back to the camera of the last fit."""
-        if self.result is None:
-            raise ValueError("there is no result yet: fit first")
-        self.camera = self.result.camera
+        self.camera = self._fitted().camera
         return self.look()
 
-    def export(self, format: str, name: str) -> dict[str, Any]:
+    def _fitted(self) -> Fit:
+        if self.result is None:
+            raise ValueError("there is no result yet: fit first")
+        return self.result
+
+    def export(self, format: str, name: str) -> Answer:
         """Write the current camera in a format, or in all of them ("all"), and the mask, if any."""
         return {"written": export(self.folder, name, self.camera, format, self.mask)}
 
-    def save(self, name: str, free: Sequence[str]) -> dict[str, Any]:
+    def save(self, name: str, free: Sequence[str]) -> Answer:
         """Write the session as one file."""
         self.free = free_of(free)
         path = self.folder / f"{plain(name)}.studio.json"
         written = path_words(path)
-        save_session(path, self.session())
+        io.save_text(path, session_to_text(self.session()))
         return {"written": [written]}
 
     def session(self) -> Session:
@@ -328,7 +333,7 @@ class Bench:
         mesh, photo = (str(Path(p).resolve()) for p in (self.workpiece.mesh, self.workpiece.photo))
         return Session(mesh, photo, self.camera, self.free, self.work, self.lines, self.known_phi)
 
-    def open(self, text: str, name: str = "session") -> dict[str, Any]:
+    def open(self, text: str, name: str = "session") -> Answer:
         """Continue a session from its file's text."""
         self.resume(session_from_text(text, name))
         return self.hello()
@@ -343,30 +348,33 @@ class Bench:
         elif self.workpiece.size != (session.camera.W, session.camera.H):
             raise ValueError("`camera`: expected one of the photo's size")
         self.camera, self.free, self.lines = session.camera, session.free, session.lines
-        self.known_phi, self.result, self._candidates = session.known_phi, None, ()
-        work = session.work
-        self._undo_stack, self._redo_stack = [work[:k] for k in range(len(work))][-MOST_UNDONE:], []
-        self._set_work(work)
+        self.known_phi, self.fits, work = session.known_phi, (), session.work
+        self._works = [work[:k] for k in range(len(work) + 1)][-MOST_UNDONE:]
+        self._at = len(self._works) - 1
+        self._update_mask()
 
-    def _push_work(self, work: Work) -> dict[str, Any]:
-        self._undo_stack = [*self._undo_stack, self.work][-MOST_UNDONE:]
-        self._redo_stack = []
-        return self._set_work(work)
+    def _push_work(self, work: Work) -> Answer:
+        self._works = [*self._works[: self._at + 1], work][-MOST_UNDONE:]
+        self._at = len(self._works) - 1
+        return self._update_mask()
 
-    def _set_work(self, work: Work) -> dict[str, Any]:
+    def _update_mask(self) -> Answer:
         W, H = self.workpiece.size
-        self.work, self.mask = work, mask_of(work, self._guess(guides_of(work)), W, H)
+        self.mask = mask_of(self.work, self._guess(strokes_of(self.work, GUIDES)), W, H)
         return self._mask_description()
 
-    def _mask_description(self) -> dict[str, Any]:
+    def _mask_description(self) -> Answer:
+        last = len(self._works) - 1
         described = mask_description(self.mask, self.work)
-        return {**described, "can_undo": bool(self._undo_stack), "can_redo": bool(self._redo_stack)}
+        return {**described, "can_undo": self._at > 0, "can_redo": self._at < last}
 
-    def _fit_description(self, fit: Fit) -> dict[str, Any]:
-        described = fit_description(fit, self.workpiece.scene, self.mask, self._held_phi)
-        modes = [m.iou for m in self._candidates] if fit.status != "non_finite" else []
-        chosen = [m.camera is fit.camera for m in self._candidates].index(True)
-        return {**described, "modes": modes, "chosen": chosen}
+    def _fit_description(self) -> Answer | None:
+        fit = self.result
+        if fit is None:
+            return None
+        described = fit_description(fit, self.workpiece.scene, self.mask, self._assumption)
+        modes = [mode.iou for mode in self.fits] if fit.status != "non_finite" else []
+        return {**described, "modes": modes, "chosen": self.chosen}
 
 
 def _guesses_of(workpiece: Workpiece) -> Callable[[tuple[Stroke, ...]], np.ndarray | None]:

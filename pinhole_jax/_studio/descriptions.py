@@ -9,7 +9,7 @@ from ..formats import object_pose
 from ..names import STATUSES
 from ..plot import disagreement
 from .drawing import band_of
-from .strokes import Work, guides_of, png_of
+from .strokes import GUIDES, Work, png_of, strokes_of
 
 
 def mask_description(mask: np.ndarray | None, work: Work) -> dict[str, Any]:
@@ -17,36 +17,32 @@ def mask_description(mask: np.ndarray | None, work: Work) -> dict[str, Any]:
     return {
         "png": None if mask is None else png_of(mask),
         "share": 0.0 if mask is None else float(np.mean(mask > 127)),
-        "guides": [stroke._asdict() for stroke in guides_of(work)],
+        "guides": [stroke._asdict() for stroke in strokes_of(work, GUIDES)],
     }
 
 
-def with_held_phi(fit: Fit, phi_from: str | None) -> Fit:
+def with_assumed_phi(fit: Fit, phi_from: str) -> Fit:
     """Return a fit that names the guess of the field of view that it held fixed.
 
     The camera is only as right as that guess, so it has not `converged`. `phi_from` is the guess's
-    origin, None if somebody gave it.
+    origin, "" if somebody gave it.
     """
-    if phi_from is None:
+    if not phi_from:
         return fit
-    cure = "the sigmas ignore its error: let the fit change it, or give --fov"
-    words = f"{_phi_words(fit, phi_from)}; {cure}"
+    words = f"field of view {phi_from}: {np.rad2deg(float(fit.camera.phi)):.1f} degrees"
+    words += "; the sigmas ignore its error: let the fit change it, or give --fov"
     status = "uncertain" if fit.status == "converged" else fit.status
     return fit._replace(status=status, weak=(words, *fit.weak))
 
 
-def _phi_words(fit: Fit, phi_from: str) -> str:
-    return f"field of view {phi_from}: {np.rad2deg(float(fit.camera.phi)):.1f} degrees"
-
-
 def fit_description(
-    fit: Fit, scene: Scene, mask: np.ndarray | None, phi_from: str | None = None
+    fit: Fit, scene: Scene, mask: np.ndarray | None, phi_from: str = ""
 ) -> dict[str, Any]:
     """Return a fit's status, table, notes, outline with its band, K, R and t. (`phi_from`: see
-    `with_held_phi`.)"""
+    `with_assumed_phi`.)"""
     status = {"status": fit.status, "meaning": STATUSES[fit.status]}
-    if phi_from is not None and fit.status == "uncertain":
-        status["meaning"] = f"use it as a start only: {_phi_words(fit, phi_from)}"
+    if phi_from and fit.status == "uncertain":
+        status["meaning"] = f"use it as a start only: {fit.weak[0].partition(';')[0]}"
     if fit.status == "non_finite":
         none: dict[str, Any] = {"iou": None, "rows": [], "notes": [], "band": None, "pose": ""}
         return {**status, **none}

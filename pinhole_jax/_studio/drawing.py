@@ -2,6 +2,7 @@
 lines as the lens bends them. Places are in px from the upper left corner, x right, y down.
 """
 
+import itertools
 from collections.abc import Sequence
 from typing import Any
 
@@ -14,6 +15,8 @@ from .hand import focal_px, principal_point
 
 #: A grid of straight lines has this many of them along the shorter side of the picture.
 GRID = 8
+#: They reach this many times the film's size from the principal point: a barrel shows more.
+REACH = 1.6
 #: A bent line has this many points.
 POINTS = 49
 #: Lines farther from the picture than this many of its sides are not drawn.
@@ -24,8 +27,7 @@ Line = tuple[tuple[float, float], tuple[float, float]]
 
 def camera_numbers(camera: Camera) -> dict[str, Any]:
     """Return the camera's numbers for the page's shader and sliders."""
-    lens = camera.lens
-    distortion = None if lens is None or lens.distortion is None else lens.distortion
+    distortion = camera.distortion
     return {
         "W": camera.W,
         "H": camera.H,
@@ -34,7 +36,6 @@ def camera_numbers(camera: Camera) -> dict[str, Any]:
         "focal": focal_px(camera).tolist(),
         "principal": principal_point(camera).tolist(),
         "phi_degrees": float(np.rad2deg(float(camera.phi))),
-        "aspect": 1.0 if lens is None else float(lens.aspect),
         "model": None if distortion is None else type(distortion).__name__,
         "distortion": {} if distortion is None else distortion.coefficients(),
     }
@@ -64,25 +65,26 @@ def band_of(fit: Fit, scene: Scene) -> dict[str, Any]:
 
 def grid_lines(camera: Camera) -> list[list[list[float]]]:
     """Return a grid of lines straight in space, as the lens shows them: rows of points."""
-    spacing = min(camera.W, camera.H) / GRID
-    where = principal_point(camera)
-    reach = 1.6  # a barrel shows more than the ideal film
+    size = np.array([camera.W, camera.H])
+    spacing, reach = min(size) / GRID, REACH * size
     lines = []
-    for axis, size in enumerate((camera.W, camera.H)):
-        first = np.ceil((where[axis] - reach * size) / spacing)
-        last = np.floor((where[axis] + reach * size) / spacing)
-        other = (camera.W, camera.H)[1 - axis]
-        along = np.linspace(-reach, reach, POINTS) * other + where[1 - axis]
-        for k in np.arange(first, last + 1):
-            line = np.empty((POINTS, 2))
-            line[:, axis] = where[axis] + spacing * (k - np.round((first + last) / 2))
-            line[:, 1 - axis] = along
-            lines.append(line)
-    return [
-        part
-        for line in _reproject(_ideal(camera), camera, np.array(lines))
-        for part in _visible_parts(line, camera)
-    ]
+    for axis in (0, 1):
+        count = int(reach[axis] / spacing)
+        steps = spacing * np.arange(-count, count + 1)[:, None]
+        along = np.linspace(-1, 1, POINTS) * reach[1 - axis]
+        pair = np.broadcast_arrays(steps, along)
+        lines.append(np.stack(pair[:: 1 - 2 * axis], axis=-1))
+    points = principal_point(camera) + np.concatenate(lines)
+    bent = _reprojected(*_ideal_and_own(camera), points)
+    near = np.all(np.abs(bent - size / 2) < 0.6 * size, axis=-1)
+    shown = _flip(bent, camera).round(2).tolist()
+    return [part for pair in zip(near.tolist(), shown, strict=True) for part in _near_parts(*pair)]
+
+
+def _near_parts(near: list[bool], points: list[list[float]]) -> list[list[list[float]]]:
+    """Return the parts of a line that are near the film."""
+    runs = itertools.groupby(zip(near, points, strict=True), key=lambda pair: pair[0])
+    return [[point for _, point in run] for is_near, run in runs if is_near]
 
 
 def straight_lines(camera: Camera, lines: Sequence[Line]) -> list[list[list[float]]]:
@@ -90,39 +92,28 @@ def straight_lines(camera: Camera, lines: Sequence[Line]) -> list[list[list[floa
     shows them."""
     if not lines:
         return []
-    ends = np.array(lines, float) * [1, -1] + [0, camera.H]
+    ideal, own = _ideal_and_own(camera)
+    ends = _reprojected(own, ideal, _flip(np.array(lines, float), camera))
     share = np.linspace(0, 1, POINTS)[:, None]
-    ideal = _reproject(camera, _ideal(camera), ends)
-    rows = ideal[:, None, 0] * (1 - share) + ideal[:, None, 1] * share
-    return _flip(_reproject(_ideal(camera), camera, rows), camera).round(2).tolist()
+    rows = ends[:, None, 0] * (1 - share) + ends[:, None, 1] * share
+    return _flip(_reprojected(ideal, own, rows), camera).round(2).tolist()
 
 
-def _ideal(camera: Camera) -> Camera:
-    """Return the camera without its distortion."""
-    aspect = 1.0 if camera.lens is None else camera.lens.aspect
-    return camera.replace(lens=Lens(principal_point(camera), aspect))
+def _ideal_and_own(camera: Camera) -> tuple[Camera, Camera]:
+    """Return the camera at the origin: without its distortion, and with it."""
+    here = camera.with_pose([0, 0, 0], axes_of(camera))
+    if camera.distortion is None:
+        return here, here
+    assert camera.lens is not None
+    return here.replace(lens=Lens(camera.lens.principal_point, camera.lens.aspect)), here
 
 
-def _reproject(before: Camera, after: Camera, points: np.ndarray) -> np.ndarray:
+def _reprojected(before: Camera, after: Camera, points: np.ndarray) -> np.ndarray:
     """Return film points of a camera as another camera of the same pose shows them."""
-    at_origin = lambda camera: camera.with_pose([0, 0, 0], axes_of(camera))
-    rays = rays_through(at_origin(before), points.astype(before.e.dtype))
-    return np.asarray(project(at_origin(after), rays.direction), float)
-
-
-def _visible_parts(line: np.ndarray, camera: Camera) -> list[list[list[float]]]:
-    """Return the parts of a line of points on the film or near it."""
-    margin = np.array([camera.W, camera.H]) * 0.1
-    on = np.all((line > -margin) & (line < np.array([camera.W, camera.H]) + margin), axis=1)
-    cuts = np.flatnonzero(np.diff(on.astype(int))) + 1
-    parts = np.split(_flip(line, camera).round(2), cuts)
-    return [
-        part.tolist()
-        for part, is_on in zip(parts, np.split(on, cuts), strict=True)
-        if is_on[0] and len(part) > 1
-    ]
+    rays = rays_through(before, points.astype(before.e.dtype))
+    return np.asarray(project(after, rays.direction), float)
 
 
 def _flip(points: np.ndarray, camera: Camera) -> np.ndarray:
-    """Return film coordinates as places from the picture's upper left corner."""
+    """Return film coordinates as places from the picture's upper left corner, or back."""
     return points * [1, -1] + [0, camera.H]

@@ -6,20 +6,7 @@ import numpy as np
 
 from .. import Camera, io
 from ..formats import FORMATS, write
-
-#: The ending of each format's path, after the name that a person gives.
-ENDINGS = {
-    "json": ".json",
-    "opencv": ".yaml",
-    "colmap": "_colmap",
-    "colmap-binary": "_colmap_binary",
-    "nerf": "_transforms.json",
-    "blender": "_blender.json",
-    "blender-script": "_blender.py",
-    "gltf": ".gltf",
-    "pytorch3d": "_pytorch3d.json",
-    "mitsuba": ".xml",
-}
+from ..show.page import ENDINGS
 
 
 def export(

@@ -122,19 +122,13 @@ def with_lens(camera: Camera, changes: dict[str, float]) -> Camera:
 
     Raises ValueError for other names, and if no such lens holds on the film.
     """
-    lens, where = camera.lens, principal_point(camera)
-    distortion: Any = (lens.distortion if lens is not None else None) or BrownConrady()
-    values = {
-        "principal_x": where[0],
-        "principal_y": where[1],
-        "aspect": 1.0 if lens is None else float(lens.aspect),
-        **distortion.coefficients(),
-    }
-    if unknown := sorted(changes.keys() - values.keys()):
-        raise ValueError(f"`lens`: expected some of {', '.join(values)}, got {', '.join(unknown)}")
-    values.update(changes)
-    coefficients = {name: values[name] for name in distortion.coefficients()}
-    new = type(distortion)(**coefficients) if any(coefficients.values()) else None
-    where, aspect = np.array([values["principal_x"], values["principal_y"]]), values["aspect"]
-    is_trivial = new is None and aspect == 1 and np.array_equal(2 * where, [camera.W, camera.H])
-    return camera.replace(lens=None if is_trivial else Lens(where, aspect, new))
+    distortion: Any = camera.distortion or BrownConrady()
+    x, y = principal_point(camera)
+    aspect = 1.0 if camera.lens is None else float(camera.lens.aspect)
+    own = {"principal_x": x, "principal_y": y, "aspect": aspect, **distortion.coefficients()}
+    if unknown := sorted(changes.keys() - own.keys()):
+        raise ValueError(f"`lens`: expected some of {', '.join(own)}, got {', '.join(unknown)}")
+    x, y, aspect, *coefficients = (own | changes).values()
+    bent = type(distortion)(*coefficients) if any(coefficients) else None
+    is_trivial = bent is None and (2 * x, 2 * y, aspect) == (camera.W, camera.H, 1)
+    return camera.replace(lens=None if is_trivial else Lens([x, y], aspect, bent))

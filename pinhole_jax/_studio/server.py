@@ -9,7 +9,7 @@ import json
 import secrets
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from importlib import resources
+from pathlib import Path
 from typing import Any
 
 from aiohttp import WSMsgType, web
@@ -22,12 +22,8 @@ HOST = "127.0.0.1"
 MOST_BYTES = 1 << 28
 #: This many tabs are remembered.
 MOST_TABS = 32
-FILES = {
-    "/": "text/html",
-    "/scene.js": "text/javascript",
-    "/studio.js": "text/javascript",
-    "/studio.css": "text/css",
-}
+FILES = ("/scene.js", "/studio.js", "/studio.css")
+PAGE = Path(__file__).parent / "page"
 HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "default-src 'self'; img-src 'self' data: blob:;"
@@ -51,8 +47,9 @@ class Studio:
     def application(self) -> web.Application:
         """Return the server's routes, each behind the token."""
         app = web.Application(middlewares=[self._guard], client_max_size=MOST_BYTES)
+        app.router.add_get("/", self._index)
         for path in FILES:
-            app.router.add_get(path, self._file)
+            app.router.add_get(path, _file)
         app.router.add_get("/photo", self._answer_with(photo_file, "image/jpeg"))
         app.router.add_get("/mesh", self._answer_with(mesh_file, "application/octet-stream"))
         app.router.add_get("/bench", self._talk)
@@ -71,15 +68,10 @@ class Studio:
             response.headers.update(HEADERS)
         return response
 
-    async def _file(self, request: web.Request) -> web.Response:
-        name = request.path.strip("/") or "index.html"
-        text = (
-            resources.files("pinhole_jax._studio")
-            .joinpath("page", name)
-            .read_text(encoding="utf-8")
-        )
-        text = text.replace("{TOKEN}", self.token) if name == "index.html" else text
-        return web.Response(text=text, content_type=FILES[request.path], charset="utf-8")
+    async def _index(self, request: web.Request) -> web.Response:
+        del request
+        text = (PAGE / "index.html").read_text(encoding="utf-8")
+        return web.Response(text=text.replace("{TOKEN}", self.token), content_type="text/html")
 
     def _answer_with(self, make: Callable[[Workpiece], bytes], kind: str) -> Any:
         """Return a handler that sends a file of the tab's workpiece."""
@@ -88,7 +80,8 @@ class Studio:
             bench = self._benches.get(request.query.get("tab", ""))
             if bench is None:
                 return web.Response(status=404, text="404: no such tab\n")
-            data = await self._in_thread(make, bench.workpiece)
+            loop = asyncio.get_running_loop()
+            data = await loop.run_in_executor(self._pool, make, bench.workpiece)
             return web.Response(body=data, content_type=kind)
 
         return handler
@@ -98,19 +91,16 @@ class Studio:
         socket = web.WebSocketResponse(max_msg_size=MOST_BYTES, heartbeat=30)
         await socket.prepare(request)
         tab = self._open_tab(request.query.get("tab", ""))
-        outgoing: asyncio.Queue[dict[str, Any]] = asyncio.Queue()
-        outgoing.put_nowait({"push": "tab", "tab": tab})
-        sender = asyncio.create_task(_send_all(socket, outgoing))
-        answers: set[asyncio.Task[None]] = set()
+        await socket.send_json({"push": "tab", "tab": tab})
+        loop = asyncio.get_running_loop()
+        send = lambda message: asyncio.run_coroutine_threadsafe(
+            socket.send_str(json.dumps(message)), loop
+        )
         try:
             async for message in socket:
                 if message.type == WSMsgType.TEXT:
-                    answer = self._answer(self._benches[tab], message.data, outgoing)
-                    task = asyncio.create_task(answer)
-                    answers.add(task)
-                    task.add_done_callback(answers.discard)
+                    self._pool.submit(_answer, self._benches[tab], message.data, send)
         finally:
-            sender.cancel()
             self._open.discard(tab)
         return socket
 
@@ -125,41 +115,23 @@ class Studio:
             del self._benches[name]
         return tab
 
-    async def _answer(self, bench: Bench, text: str, outgoing: "asyncio.Queue[Any]") -> None:
-        loop = asyncio.get_running_loop()
-        push = lambda what: loop.call_soon_threadsafe(
-            outgoing.put_nowait, {"push": "progress", **what}
-        )
-        number = None
-        try:
-            number, name, numbers = _question(text)
-            answer = await self._in_thread(bench.act, name, numbers, push)
-            outgoing.put_nowait({"id": number, "answer": answer})
-        except (ValueError, OSError) as error:
-            outgoing.put_nowait({"id": number, "error": str(error)})
-        except Exception as error:
-            outgoing.put_nowait({"id": number, "error": f"{type(error).__name__}: {error}"})
-            raise
 
-    async def _in_thread(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        return await asyncio.get_running_loop().run_in_executor(self._pool, function, *arguments)
+async def _file(request: web.Request) -> web.FileResponse:
+    return web.FileResponse(PAGE / request.path.strip("/"))
 
 
-def _question(text: str) -> tuple[Any, str, dict[str, Any]]:
-    """Return a message's number, its action and the action's numbers, or raise ValueError."""
-    question = json.loads(text)
-    if not (
-        isinstance(question, dict) and isinstance(question.get("do"), str) and "id" in question
-    ):
-        raise ValueError("expected a JSON object with `id` and `do`")
-    return question.pop("id"), question.pop("do"), question
-
-
-async def _send_all(socket: web.WebSocketResponse, outgoing: "asyncio.Queue[Any]") -> None:
-    while True:
-        message = await outgoing.get()
-        text = await asyncio.to_thread(json.dumps, message)
-        await socket.send_str(text)
+def _answer(bench: Bench, text: str, send: Callable[[dict[str, Any]], Any]) -> None:
+    """Do what a tab's message asks for, and send the answer, or the reason why it is impossible."""
+    number = None
+    try:
+        question = json.loads(text)
+        number, name = question.pop("id"), question.pop("do")
+        push = lambda news: send({"push": "progress", **news})
+        send({"id": number, "answer": bench.act(name, question, push)})
+    except (ValueError, OSError) as error:
+        send({"id": number, "error": str(error)})
+    except Exception as error:
+        send({"id": number, "error": f"{type(error).__name__}: {error}"})
 
 
 async def serve(studio: Studio, port: int, ready: Callable[[str], Any]) -> None:

@@ -5,9 +5,10 @@ Places are in px from the picture's upper left corner, x right, y down.
 
 import base64
 import itertools
-import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from io import BytesIO
+from reprlib import repr as brief
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,6 +28,8 @@ CONTRAST = 2000.0
 KEEP_OFF = 0.12
 #: The most points of a stroke and the most strokes: a hand draws no more.
 MOST_POINTS, MOST_STROKES = 100_000, 10_000
+#: The largest place and radius of a brush (px).
+MOST_PX = 1e6
 
 
 class Stroke(NamedTuple):
@@ -66,15 +69,10 @@ def draw_strokes(
     return np.asarray(image)
 
 
-def guides_of(work: Work) -> tuple[Stroke, ...]:
-    """Return the guides since the last loaded mask."""
-    guides: list[Stroke] = []
-    for step in work:
-        if isinstance(step, LoadedMask):
-            guides.clear()
-        elif step.kind in GUIDES:
-            guides.append(step)
-    return tuple(guides)
+def strokes_of(work: Work, kinds: Sequence[str]) -> tuple[Stroke, ...]:
+    """Return the strokes of some kinds since the last loaded mask."""
+    begin = max((k for k, step in enumerate(work) if isinstance(step, LoadedMask)), default=-1)
+    return tuple(s for s in work[begin + 1 :] if isinstance(s, Stroke) and s.kind in kinds)
 
 
 def guides_around(inside: np.ndarray) -> tuple[Stroke, ...]:
@@ -94,12 +92,11 @@ def guides_around(inside: np.ndarray) -> tuple[Stroke, ...]:
 def mask_of(work: Work, guess: np.ndarray | None, W: int, H: int) -> np.ndarray | None:
     """Return the mask (H, W), 255 on the object; None without strokes or a mask.
 
-    `guess` is `guess_mask` of `guides_of(work)`.
+    `guess` is `guess_mask` of the guides since the last loaded mask.
     """
-    mask = guess
-    for step in work if guess is None else ():
-        mask = step.mask if isinstance(step, LoadedMask) else mask
-    painted = [step for step in work if isinstance(step, Stroke) and step.kind in PAINTS]
+    loaded = [step.mask for step in work if isinstance(step, LoadedMask)]
+    mask = loaded[-1] if loaded and guess is None else guess
+    painted = strokes_of(work, PAINTS)
     if not painted:
         return mask
     ground = np.zeros((H, W), np.uint8) if mask is None else mask
@@ -114,42 +111,30 @@ def guess_mask(photo: np.ndarray, guides: Sequence[Stroke]) -> np.ndarray | None
     Without strokes on the background, the photo's border is it.
     """
     H, W = photo.shape[:2]
-    none = np.zeros((H, W), np.uint8)
-    seeds = draw_strokes(guides, {"object": 1, "background": 2}, none).copy()
+    seeds = draw_strokes(guides, {"object": 1, "background": 2}, np.zeros((H, W), np.uint8))
     if not np.any(seeds == 1):
         return None
     if not np.any(seeds == 2):
-        border = np.ones((H, W), bool)
-        border[1:-1, 1:-1] = False
-        seeds[border & (seeds == 0)] = 2
-    if not np.any(seeds == 2):
-        return np.full((H, W), 255, np.uint8)
-    inside = None
-    for level in _levels(W, H):
-        inside = _refine(_resize(photo, level), _shrink_seeds(seeds, level), inside)
-    assert inside is not None
-    return np.uint8(255) * _resize(inside, (W, H))
+        border = np.pad(np.zeros((H - 2, W - 2), np.uint8), 1, constant_values=2)
+        seeds = np.where(seeds == 1, 1, border)
+    return np.uint8(255) * _object(photo, seeds)
 
 
-def _levels(W: int, H: int) -> list[tuple[int, int]]:
-    """Return sizes (W, H), each twice as large as the one before or less, up to the whole one or
-    the finest."""
-    halvings = max(math.ceil(math.log2(math.sqrt(W * H / COARSE_PX))), 0)
-    sizes = [(max(W >> k, 1), max(H >> k, 1)) for k in range(halvings, -1, -1)]
-    return [size for size in sizes if size[0] * size[1] <= FINEST_PX] or sizes[:1]
-
-
-def _refine(photo: np.ndarray, seeds: np.ndarray, before: np.ndarray | None) -> np.ndarray:
-    """Return the object's pixels of a picture, guessed anew near the edge of a coarser answer."""
+def _object(photo: np.ndarray, seeds: np.ndarray) -> np.ndarray:
+    """Return the object's pixels (H, W): those of a picture half as large, guessed anew near their
+    edge. Seeds are 1 on the object, 2 on the background."""
     H, W = seeds.shape
     labels = seeds.astype(np.int32)
-    if before is not None:
-        coarse = _resize(before, (W, H))
-        labels[(_depth(coarse) > EDGE_PX) & (labels == 0)] = 1
-        labels[(_depth(~coarse) > EDGE_PX) & (labels == 0)] = 2
-    if not (np.any(labels == 1) and np.any(labels == 2)):
-        return labels == 1 if before is None else _resize(before, (W, H))
-    if not np.any(labels == 0):
+    if H * W > COARSE_PX:
+        half = (W + 1) // 2, (H + 1) // 2
+        marked = [_resized(seeds == label, half) for label in (1, 2)]  # thin strokes, too
+        small = np.select([marked[0] > marked[1], marked[1] > 0], [1, 2])
+        object_ = _resized(_object(_resized(photo, half), small), (W, H)) > 127
+        if H * W > FINEST_PX:
+            return object_
+        for label, part in ((1, object_), (2, ~object_)):
+            labels[(_depth(part) > EDGE_PX) & (labels == 0)] = label
+    if len(np.unique(labels)) < 3:  # all is said, or nothing
         return labels == 1
     return _random_walker(photo, labels) == 1
 
@@ -175,23 +160,13 @@ def _random_walker(photo: np.ndarray, labels: np.ndarray) -> np.ndarray:
         )
 
 
-def _resize(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+def _resized(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Return a picture, or what is True from 0 to 255, at another size (W, H)."""
     from PIL import Image
 
-    if (image.shape[1], image.shape[0]) == size:
-        return image
-    if image.dtype == bool:
-        grey = Image.fromarray(np.uint8(255) * image)
-        return np.asarray(grey.resize(size, Image.Resampling.BILINEAR)) > 127
-    return np.asarray(Image.fromarray(image).resize(size, Image.Resampling.BOX))
-
-
-def _shrink_seeds(seeds: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Return seeds on a smaller picture, thin strokes included."""
-    if (seeds.shape[1], seeds.shape[0]) == size:
-        return seeds
-    object_, back = (_resize(np.uint8(255) * (seeds == label), size) for label in (1, 2))
-    return np.where(object_ > back, 1, np.where(back > 0, 2, 0)).astype(np.uint8)
+    bytes_ = np.uint8(255) * image if image.dtype == bool else image
+    way = Image.Resampling.BOX if size[0] < image.shape[1] else Image.Resampling.BILINEAR
+    return np.asarray(Image.fromarray(bytes_).resize(size, way))
 
 
 def png_of(mask: np.ndarray) -> str:
@@ -217,34 +192,24 @@ def work_from_list(data: Any, W: int, H: int) -> Work:
     """Return the work of `work_to_list` for a picture of this size, or raise ValueError."""
     if not isinstance(data, list) or len(data) > MOST_STROKES:
         raise ValueError("`strokes`: expected a list of strokes and masks")
-    return tuple(_step(step, W, H) for step in data)
-
-
-def _step(data: Any, W: int, H: int) -> Stroke | LoadedMask:
-    if isinstance(data, dict) and "mask" in data:
-        return LoadedMask(_mask_of_png(data["mask"], W, H))
-    return stroke_of(data)
+    has_mask = lambda step: isinstance(step, dict) and "mask" in step
+    return tuple(_loaded(x["mask"], W, H) if has_mask(x) else stroke_of(x) for x in data)
 
 
 def stroke_of(data: Any) -> Stroke:
     """Return a stroke of `kind`, `radius_px` and `points`, or raise ValueError."""
-    if not isinstance(data, dict) or data.get("kind") not in KINDS:
-        kind = data.get("kind") if isinstance(data, dict) else data
-        raise ValueError(f"`kind`: expected one of {', '.join(KINDS)}, got {kind!r}")
-    try:
-        radius = float(data["radius_px"])
-        points = tuple((float(x), float(y)) for x, y in data["points"])
-    except (KeyError, TypeError, ValueError):
-        raise ValueError("`points`: expected a radius_px and points [x, y] (px)") from None
-    if not (0 < len(points) <= MOST_POINTS and 0 < radius < 1e5):
-        words = f"got {len(points)} points, a radius of {radius:g} px"
-        raise ValueError(f"`points`: expected 1 to {MOST_POINTS}, and a positive radius, {words}")
-    if not np.all(np.abs(points) < 1e6):
-        raise ValueError("`points`: expected places on the picture (px), got some far away")
-    return Stroke(data["kind"], radius, points)
+    with suppress(KeyError, TypeError, ValueError):
+        kind, radius, places = data["kind"], float(data["radius_px"]), np.array(data["points"])
+        near = places.shape[1:] == (2,) and np.all(np.abs(places.astype(float)) < MOST_PX)
+        if kind in KINDS and near and 0 < len(places) <= MOST_POINTS and 0 < radius < MOST_PX:
+            return Stroke(kind, radius, tuple(map(tuple, places.astype(float).tolist())))
+    raise ValueError(
+        f"`stroke`: expected a `kind` among {', '.join(KINDS)}, a `radius_px` above 0 and 1 to"
+        f" {MOST_POINTS} `points` [x, y] on the picture (px), got {brief(data)}"
+    )
 
 
-def _mask_of_png(text: Any, W: int, H: int) -> np.ndarray:
+def _loaded(text: Any, W: int, H: int) -> LoadedMask:
     """The mask (H, W) in a PNG in base64, or a ValueError."""
     from PIL import Image
 
@@ -254,4 +219,4 @@ def _mask_of_png(text: Any, W: int, H: int) -> np.ndarray:
         raise ValueError(f"`mask`: expected a PNG file in base64, got none: {error}") from None
     if mask.dtype != np.uint8 or mask.shape != (H, W):
         raise ValueError(f"`mask`: expected 8 bits, {W} x {H} px, got shape {mask.shape}")
-    return mask
+    return LoadedMask(mask)

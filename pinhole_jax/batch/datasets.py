@@ -4,7 +4,10 @@ import contextlib
 import csv
 import json
 import os
+from collections import Counter
 from collections.abc import Callable, Iterator
+from functools import partial
+from operator import index
 from pathlib import Path
 from reprlib import repr as brief
 from typing import Any
@@ -14,10 +17,8 @@ from .records import FIELDS, PATHS, PICTURES, Record, files_of
 #: The endings of meshes and tables.
 MESHES = (".ply", ".obj", ".stl", ".glb", ".gltf", ".off")
 TABLES = (".csv", ".jsonl")
-#: The folders of BOP's models, beside the splits.
-MODELS = ("models", "models_eval", "models_cad")
-#: JSON's words as Python and spreadsheets write them.
-WORDS = {"True": "true", "False": "false", "TRUE": "true", "FALSE": "false", "None": "null"}
+#: The file of a BOP scene's cameras, and the folders of its models, beside the splits.
+CAMERAS, MODELS = "scene_camera.json", ("models", "models_eval", "models_cad")
 
 
 class Dataset:
@@ -72,31 +73,28 @@ def read_dataset(
     if unknown := [name for name in fields if name not in FIELDS]:
         raise ValueError(f"`{unknown[0]}`: expected fields among {', '.join(FIELDS)}")
     place = Path(path)
-    rest = {name: value for name, value in fields.items() if value is not None}
     if not place.exists():
         raise FileNotFoundError(f"`path`: expected a data set, got {str(path)!r}: no such file")
-    if not place.is_dir():
-        if place.suffix.lower() not in TABLES:
-            words = f"expected a folder or one of {', '.join(TABLES)}, got {str(path)!r}"
-            raise ValueError(f"`path`: {words}")
-        return Dataset("table", lambda: _with_defaults(rest, _table_records(place)))
-    camera = "scene_camera.json"
-    folders = [place.resolve(), *sorted(place.resolve().iterdir())]
-    scenes = [folder for folder in folders if (folder / camera).is_file()]
-    if not scenes:
-        return Dataset("folder", lambda: _with_defaults(rest, _folder_records(place)))
-    shapes = _models(place, models)
-    seen = None if detections is None else _detections(Path(detections), scenes)
-    return Dataset("BOP", lambda: _with_defaults(rest, _bop_records(scenes, shapes, seen, start)))
+    kind, records = "table", partial(_table_records, place)
+    if place.is_dir():
+        inside = [place.resolve(), *sorted(place.resolve().iterdir())]
+        kind, records = "folder", partial(_folder_records, place)
+        if scenes := [folder for folder in inside if (folder / CAMERAS).is_file()]:
+            found = None if detections is None else _detections(Path(detections), scenes)
+            shapes = _models(place, models)
+            kind, records = "BOP", partial(_bop_records, scenes, shapes, found, start)
+    elif place.suffix.lower() not in TABLES:
+        words = f"expected a folder or one of {', '.join(TABLES)}, got {str(path)!r}"
+        raise ValueError(f"`path`: {words}")
+    defaults = {name: value for name, value in fields.items() if value is not None}
+    return Dataset(kind, lambda: (_with_defaults(defaults, record) for record in records()))
 
 
-def _with_defaults(fields: dict[str, Any], records: Iterator[Record]) -> Iterator[Record]:
-    """Yield records with defaults for their missing fields; a camera of their own stays whole."""
+def _with_defaults(fields: dict[str, Any], record: Record) -> Record:
+    """Return a record with defaults for its missing fields; a camera of its own stays whole."""
     cameras = {"K", "fov", "camera"}
-    parts = {*cameras, "pixel_centres", "dist", "start"}
-    for record in records:
-        own = cameras & record.keys()
-        yield {**{n: v for n, v in fields.items() if not (own and n in parts)}, **record}
+    own = cameras | {"pixel_centres", "dist", "start"} if cameras & record.keys() else set()
+    return {**{name: value for name, value in fields.items() if name not in own}, **record}
 
 
 def _models(place: Path, models: str | os.PathLike[str] | None) -> Path:
@@ -108,21 +106,25 @@ def _models(place: Path, models: str | os.PathLike[str] | None) -> Path:
     raise ValueError(f"`models`: expected the folder of the models of {str(place)!r}, {words}")
 
 
+#: An image, the number of an object in it, the object, and the fields of its record.
+_Object = tuple[str, int, int, dict[str, Any]]
+
+
 def _bop_records(
-    scenes: list[Path], models: Path, detections: dict[int, list[Any]] | None, start: bool
+    scenes: list[Path],
+    models: Path,
+    detections: dict[int, list[_Object]] | None,
+    start: bool,
 ) -> Iterator[Record]:
     for scene in scenes:
-        cameras = _json(scene / "scene_camera.json", "`path`", dict)
-        if detections is None:
-            objects = _ground_truth(scene, start)
-        else:
-            objects = _scene_detections(detections.get(int(scene.name), []))
+        cameras = _json(scene / CAMERAS, "path", dict)
+        objects = _labels(scene, start)
+        if detections is not None:
+            objects = detections.get(int(scene.name), []) if scene.name.isdecimal() else []
         for image, number, object_, fields in objects:
-            camera = cameras.get(image, {})
-            if not isinstance(camera, dict):
-                place = f"{str(scene / 'scene_camera.json')!r}, image {image!r}"
-                raise ValueError(f"`path`: {place}: expected an object, got {brief(camera)}")
-            K = camera.get("cam_K")
+            words = f"`path`: expected a camera in {str(scene / CAMERAS)!r}, image {image!r}"
+            with _expecting(words, cameras.get(image)):
+                K = cameras.get(image, {}).get("cam_K")
             yield {
                 "id": f"{scene.parent.name}/{scene.name}/{image}/{object_}/{number}",
                 "mesh": str(models / f"obj_{object_:06d}.ply"),
@@ -131,87 +133,69 @@ def _bop_records(
             }
 
 
-#: An image, a number in it, an object, and the fields of its record.
-_Objects = Iterator[tuple[str, int, int, dict[str, Any]]]
-
-
-def _ground_truth(scene: Path, start: bool) -> _Objects:
+def _labels(scene: Path, start: bool) -> Iterator[_Object]:
     """Yield the objects that BOP has labelled in a scene."""
     file = scene / "scene_gt.json"
-    for image, poses in _json(file, "`path`", dict).items():
-        place = f"`path`: {str(file)!r}, image {image!r}"
-        stem = _integer(image, f"{place}: expected the image's number")
-        for number, pose in enumerate(_objects(poses, place)):
-            mask = scene / "mask_visib" / f"{stem:06d}_{number:06d}.png"
-            fields: dict[str, Any] = {"mask": str(mask)}
-            if start:
-                R, t = pose.get("cam_R_m2c"), pose.get("cam_t_m2c")
-                if not (isinstance(R, list) and isinstance(t, list) and (len(R), len(t)) == (9, 3)):
-                    raise ValueError(f"{place}: expected `cam_R_m2c` and `cam_t_m2c` to start from")
-                rows = [[*R[3 * k : 3 * k + 3], t[k]] for k in range(3)]
-                fields["start"] = [*rows, [0, 0, 0, 1]]
-            object_ = _integer(pose.get("obj_id"), f"{place}: expected `obj_id`, a number")
-            yield image, number, object_, fields
+    needed = "objects with `obj_id`" + ", `cam_R_m2c` and `cam_t_m2c` to start from" * start
+    for image, poses in _json(file, "path", dict).items():
+        with _expecting(f"`path`: expected {needed} in {str(file)!r}, image {image!r}", poses):
+            stem = f"{int(image):06d}"
+            objects = [(index(pose["obj_id"]), _start(pose) if start else {}) for pose in poses]
+        for number, (object_, fields) in enumerate(objects):
+            mask = scene / "mask_visib" / f"{stem}_{number:06d}.png"
+            yield image, number, object_, {"mask": str(mask), **fields}
 
 
-def _detections(path: Path, scenes: list[Path]) -> dict[int, list[Any]]:
-    """Return COCO's detections by the number of their scene."""
-    data = _json(path, "`detections`", (list, dict))
-    if isinstance(data, dict) and "annotations" in data:
-        words = "expected a list of detections, as BOP's segmentation challenge has them"
-        raise ValueError(f"`detections`: {words}, got COCO's annotations of its own images")
-    if others := [scene.name for scene in scenes if not scene.name.isdecimal()]:
-        words = "expected scenes' folders named by the `scene_id` of `detections`, as 000001"
-        raise ValueError(f"`path`: {words}, got {others[0]!r}")
-    by_scene: dict[int, list[Any]] = {}
-    for number, detection in enumerate(_objects(data, "`detections`")):
-        words = f"`detections`: expected `scene_id`, the number of a BOP scene, in number {number}"
-        by_scene.setdefault(_integer(detection.get("scene_id"), words), []).append(detection)
-    numbers = [int(scene.name) for scene in scenes]
-    if by_scene and not by_scene.keys() & {*numbers}:
-        words = f"expected `scene_id` among {brief(numbers)}, the scenes of `path`"
+def _start(pose: dict[str, Any]) -> dict[str, Any]:
+    """Return an object's pose as a record has it."""
+    import numpy as np  # it counts the cores: see `worker`
+
+    rows = np.column_stack([np.reshape(pose["cam_R_m2c"], (3, 3)), pose["cam_t_m2c"]])
+    return {"start": [*rows.tolist(), [0, 0, 0, 1]]}
+
+
+def _detections(path: Path, scenes: list[Path]) -> dict[int, list[_Object]]:
+    """Return COCO's detections as objects, by the number of their scene."""
+    by_scene: dict[int, list[_Object]] = {}
+    numbers: Counter[tuple[int, int]] = Counter()
+    words = "`detections`: expected objects with `scene_id`, `image_id` and `category_id`"
+    for place, detection in enumerate(_json(path, "detections", list)):
+        with _expecting(f"{words} in number {place} of {str(path)!r}", detection):
+            scene, image, object_ = (
+                index(detection[name]) for name in ("scene_id", "image_id", "category_id")
+            )
+            fields = {"mask": detection.get("segmentation")}
+        objects = by_scene.setdefault(scene, [])
+        objects.append((str(image), numbers[scene, image], object_, fields))
+        numbers[scene, image] += 1
+    known = [scene.name for scene in scenes]
+    if by_scene and not by_scene.keys() & {int(name) for name in known if name.isdecimal()}:
+        words = f"expected `scene_id` among the folders of `path`, {brief(known)}"
         raise ValueError(f"`detections`: {words}, got {brief([*by_scene])} in {str(path)!r}")
     return by_scene
 
 
-def _scene_detections(detections: list[dict[str, Any]]) -> _Objects:
-    """Yield the objects detected in a scene."""
-    numbers: dict[int, int] = {}
-    for detection in detections:
-        image, object_ = (
-            _integer(detection.get(name), f"`detections`: expected `{name}`, a number")
-            for name in ("image_id", "category_id")
-        )
-        number = numbers[image] = numbers.get(image, -1) + 1
-        yield str(image), number, object_, {"mask": detection.get("segmentation")}
-
-
-def _json(path: Path, name: str, kind: Any) -> Any:
+def _json(path: Path, field: str, kind: Any) -> Any:
     """Return the data of a JSON file, of the expected type."""
     try:
         data = json.loads(path.read_bytes())
     except FileNotFoundError:
-        raise FileNotFoundError(f"{name}: expected a file, got {str(path)!r}: none") from None
+        raise FileNotFoundError(f"`{field}`: expected a file, got {str(path)!r}: none") from None
     except (OSError, ValueError, RecursionError) as error:
-        raise ValueError(f"{name}: expected JSON, got {str(path)!r}: {error}") from None
+        raise ValueError(f"`{field}`: expected JSON, got {str(path)!r}: {error}") from None
     if not isinstance(data, kind):
-        raise ValueError(f"{name}: expected objects, got {str(path)!r}: {brief(data)}")
+        words = f"expected a JSON {'list' if kind is list else 'object'} in {str(path)!r}"
+        raise ValueError(f"`{field}`: {words}, got {brief(data)}")
     return data
 
 
-def _objects(values: Any, place: str) -> list[dict[str, Any]]:
-    """Return a list of JSON objects, or raise ValueError."""
-    if not isinstance(values, list) or not all(isinstance(value, dict) for value in values):
-        raise ValueError(f"{place}: expected a list of objects, got {brief(values)}")
-    return values
-
-
-def _integer(value: Any, words: str) -> int:
-    """Return a whole number, also from a text; raise ValueError with `words` for anything else."""
-    with contextlib.suppress(TypeError, ValueError, OverflowError):
-        if not isinstance(value, bool) and int(value) == float(value):
-            return int(value)
-    raise ValueError(f"{words}, got {value!r}")
+@contextlib.contextmanager
+def _expecting(words: str, value: Any) -> Iterator[None]:
+    """Raise ValueError with these words where a value has not what its reader takes from it."""
+    try:
+        yield
+    except (AttributeError, KeyError, TypeError, ValueError):
+        raise ValueError(f"{words}, got {brief(value)}") from None
 
 
 def _table_records(path: Path) -> Iterator[Record]:
@@ -235,11 +219,8 @@ def _rows(path: Path, is_csv: bool) -> Iterator[dict[str, Any]]:
             for text in stream:
                 line += 1
                 if text.strip():
-                    row = json.loads(text)
-                    if not isinstance(row, dict):
-                        raise ValueError(f"got {brief(row)}")
-                    yield row
-        except (ValueError, RecursionError, csv.Error) as error:
+                    yield {**json.loads(text)}
+        except (TypeError, ValueError, RecursionError, csv.Error) as error:
             kind = "a CSV" if is_csv else f"a JSON object in line {line}"
             raise ValueError(f"`path`: expected {kind} of {str(path)!r}: {error}") from None
 
@@ -248,14 +229,14 @@ def _cell_value(name: str, cell: str) -> Any:
     """Return the value of a CSV's cell: JSON where it is JSON and the field no text."""
     if name != "id" and (name not in PATHS or cell[0] in "{["):
         with contextlib.suppress(TypeError, ValueError):
-            return json.loads(WORDS.get(cell, cell))
+            return json.loads(cell.lower() if cell.lower() in ("true", "false") else cell)
     return cell
 
 
 def _folder_records(place: Path) -> Iterator[Record]:
     meshes = sorted(f for f in place.iterdir() if f.suffix.lower() in MESHES)
     if len(meshes) != 1:
-        words = f"got {len(meshes)} meshes and no scene_camera.json in {str(place)!r}"
+        words = f"got {len(meshes)} meshes and no {CAMERAS} in {str(place)!r}"
         raise ValueError(f"`path`: expected BOP's split, or a folder with one mesh, {words}")
     camera = place / "camera.json"
     known = {"camera": str(camera)} if camera.is_file() else {}

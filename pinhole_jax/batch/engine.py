@@ -6,16 +6,22 @@ import time
 from collections.abc import Generator, Iterable
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from functools import partial
+from typing import Any
 
 from . import worker
 from .records import Record
 from .rows import Row, empty_row
+from .tables import fit_of
 from .worker import Setup
 
-#: The number of attempts to start a worker.
-STARTS = 3
 #: The number of records handed ahead to each worker of a user's executor.
 AHEAD = 4
+NOT_STARTED = (
+    "no worker process could start: call `fit_many` below `if __name__ == '__main__':` in your"
+    " script, since workers import it"
+)
+NO_MORE = "`executor`: expected one that takes more records; call again with another to continue"
 
 
 def rows_of(
@@ -29,45 +35,37 @@ def rows_of(
     Raises RuntimeError if no worker starts, or the executor takes no more records.
     """
     waiting = iter(records)
+    own: list[_Worker] = []
     if executor is None:
-        ahead = workers if workers is not None else worker.usable_cores()
-        first = [*itertools.islice(waiting, ahead)]
+        first = [*itertools.islice(waiting, workers or worker.usable_cores())]
         waiting = itertools.chain(first, waiting)
-        own = [_Worker(k, setup._replace(workers=ahead)) for k in range(len(first))]
-    else:
-        ahead, own = AHEAD * (workers or getattr(executor, "_max_workers", 8)), []
-    running: dict[Future[Row], tuple[Record, int, float]] = {}
-
-    def give(record: Record, tries: int) -> None:
-        if executor is None:
-            future = next(w for w in own if w.future not in running).give(record)
-        else:
-            future = _submit(executor, record, setup)
-        running[future] = record, tries, time.monotonic()
-
+        setup = setup._replace(workers=len(first))
+        own = [_Worker(setup, number) for number in range(len(first))]
+    most = AHEAD * (workers or getattr(executor, "_max_workers", 8))
+    idle: list[Any] = [*own] if executor is None else [executor] * most
+    running: dict[Future[Row], tuple[Record, Any, float]] = {}
+    tried: set[str] = set()
+    again: list[Record] = []
     try:
         while True:
-            while len(running) < ahead and (record := next(waiting, None)) is not None:
-                give(record, 1)
+            while idle and (record := again.pop() if again else next(waiting, None)) is not None:
+                place = idle.pop()
+                running[_submit(place, record, setup)] = record, place, time.monotonic()
             if not running:
                 return
-            # With a time limit, the clock counts, too.
-            wait(running, None if setup.limit is None else 1.0, FIRST_COMPLETED)
-            for future, (record, tries, since) in [*running.items()]:
-                late = own and time.monotonic() - since > setup.patience
-                if not future.done() and not late:
-                    continue
-                del running[future]
-                if not future.done():
-                    next(w for w in own if w.future is future).begin()
+            for future in wait(running, 1.0, FIRST_COMPLETED).done:  # (Ctrl-C waits no longer)
+                record, place, since = running.pop(future)
+                idle.append(place)
+                if (error := future.exception()) is None:
+                    yield future.result()
+                elif own and time.monotonic() - since > setup.patience:
                     words = f"took more than {setup.limit} s, and did not end by itself"
                     yield empty_row(record, "timed_out", words, setup.patience)
-                elif (error := future.exception()) is None:
-                    yield future.result()
-                elif tries == 1:
-                    give(record, 2)
-                else:
+                elif record["id"] in tried:
                     yield empty_row(record, "crashed", f"{type(error).__name__}: {error}")
+                else:
+                    tried.add(record["id"])
+                    again.append(record)
     finally:
         for future in running:
             future.cancel()
@@ -75,49 +73,50 @@ def rows_of(
             process.end()
 
 
-def _submit(executor: Executor, record: Record, setup: Setup) -> Future[Row]:
+def tracked_rows(records: Iterable[Record], setup: Setup) -> Generator[Row, None, None]:
+    """Yield the rows of records that are fitted in this process, one after another, each from the
+    camera of the last one with the same mesh that converged."""
+    last: dict[str, Any] = {}
+    for record in records:
+        mesh = str(record.get("mesh"))
+        row = worker.run(record, setup, last.get(mesh))
+        if row["status"] == "converged":
+            last[mesh] = fit_of(row).camera
+        yield row
+
+
+def _submit(place: Any, record: Record, setup: Setup) -> Future[Row]:
+    own = isinstance(place, _Worker)
     try:
-        return executor.submit(worker.run, record, setup)
+        return place.submit(worker.run_or_end if own else worker.run, record, setup)
     except RuntimeError as error:  # (a broken pool's is one)
-        words = "expected one that takes more records; call again with another to continue"
-        raise RuntimeError(f"`executor`: {words}: {error}") from error
+        raise RuntimeError(NOT_STARTED if own else f"{NO_MORE}: {error}") from error
 
 
 class _Worker:
-    """A worker process, and the `future` of its last record: it has one record at a time."""
+    """A process that has one record at a time, and is started anew after a crash."""
 
-    _pool: ProcessPoolExecutor | None = None
-
-    def __init__(self, number: int, setup: Setup):
-        self._arguments = setup, number
-        self.begin()
-
-    def begin(self) -> None:
-        """Start the process anew."""
-        self.end()
+    def __init__(self, setup: Setup, number: int):
         context = multiprocessing.get_context("spawn")  # JAX does not survive a fork
-        self._pool = ProcessPoolExecutor(1, context, worker.begin, self._arguments)
-        self.future = self._ready = self._pool.submit(worker.ready)
+        self._new = partial(ProcessPoolExecutor, 1, context, worker.begin, (setup, number))
+        self._begin()
 
-    def give(self, record: Record) -> Future[Row]:
-        """Hand over a record when the process has started; return its row's future."""
-        for _ in range(STARTS):
-            try:
-                self._ready.result()
-                assert self._pool is not None
-                self.future = self._pool.submit(worker.run, record, self._arguments[0])
-                return self.future
-            except BrokenProcessPool:
-                self.begin()
-        raise RuntimeError(
-            "no worker process could start: call `fit_many` below `if __name__ == '__main__':` in"
-            " your script, since workers import it"
-        )
+    def _begin(self) -> None:
+        self._pool = self._new()
+        self._ready = self._pool.submit(worker.ready)
+
+    def submit(self, *call: Any) -> Future[Row]:
+        """Hand over a call when the process has started; return its result's future."""
+        self._ready.result()
+        try:
+            return self._pool.submit(*call)
+        except BrokenProcessPool:
+            self._begin()
+            return self.submit(*call)
 
     def end(self) -> None:
         """Kill the process."""
         # (From Python 3.14 on, `kill_workers` does it.)
-        if self._pool is not None:
-            for process in list((self._pool._processes or {}).values()):
-                process.kill()
-            self._pool.shutdown(wait=True, cancel_futures=True)
+        for process in list((self._pool._processes or {}).values()):
+            process.kill()
+        self._pool.shutdown(wait=True, cancel_futures=True)

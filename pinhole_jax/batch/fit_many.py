@@ -1,19 +1,22 @@
 """`fit_many`: any number of records through any executor; a stopped run resumes."""
 
 import itertools
+import json
 import os
 import time
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
+from datetime import timedelta
+from functools import partial
+from reprlib import repr as brief
 from typing import Any, NamedTuple
 
 from ..names import STATUSES
-from .engine import rows_of
-from .parts import Ledger, Results, Writer
-from .records import Record, check_id, plain_record, shard_of
+from .engine import rows_of, tracked_rows
+from .parts import Results, Writer, digest
+from .records import Record, check_id, plain_record, settings_of, shard_of
 from .rows import NO_FIT, Row
-from .tracking import tracked_rows
 from .worker import TOKEN, Setup
 
 #: This many records at a time are sorted by mesh, so that workers open few meshes at once.
@@ -50,8 +53,8 @@ class Count(NamedTuple):
             words += f" of {self.total}"
         words += f", {rate:.1f} a second" if rate >= 1 else f", {60 * rate:.1f} a minute"
         if self.total is not None and self.done:
-            left = (self.total - self.done - self.before) / rate
-            words += f", {int(left) // 3600}:{int(left) // 60 % 60:02d}:{int(left) % 60:02d} left"
+            left = int((self.total - self.done - self.before) / rate)
+            words += f", {timedelta(seconds=left)} left"
         others = self.done - self.statuses.get("converged", 0)
         return words + (f"; {others} not converged" if others else "")
 
@@ -106,15 +109,26 @@ def fit_many(
         results = pj.fit_many(records, executor=threads, out="results")
     ```
     """
-    _check(items, executor, workers, shard, time_limit, retry)
+    _check(workers=workers, shard=shard, time_limit=time_limit, retry=retry)
     if track and executor is not None:
         raise ValueError("`executor`: expected None with `track`, got one")
     results = None if out is None else Results(out)
-    done = Ledger() if results is None else results.done(but=retry)
-    total, before = _count(items, shard, done)
+    done = {} if results is None else results.settings(but=retry)
+    is_done = partial(_is_done, done=done, results=results)
+    total, before = None, 0
+    if not isinstance(items, Iterator):  # all ids are checked: none ends a run of hours
+        finished = [is_done(record) for record in _shard_records(items, shard)]
+        total, before = len(finished), sum(finished)
     rows_by_id: dict[str, Row] = {}
-    waiting = _by_mesh(_unfinished(items, shard, done, rows_by_id))
-    setup = Setup(cached, time_limit, TOKEN)
+
+    def unfinished() -> Iterator[Record]:
+        for record in _shard_records(items, shard):
+            if not is_done(record):
+                if results is None:
+                    rows_by_id[record["id"]] = {}  # its place
+                yield plain_record(record)  # processes can be handed plain values only
+
+    waiting, setup = _by_mesh(unfinished()), Setup(cached, time_limit, TOKEN)
     rows = tracked_rows(waiting, setup) if track else rows_of(waiting, executor, workers, setup)
     writer = None if results is None else Writer(results.folder)
     statuses: Counter[str] = Counter()
@@ -136,58 +150,37 @@ def fit_many(
     return [*rows_by_id.values()] if results is None else results
 
 
-def _check(
-    items: Any, executor: Any, workers: Any, shard: Any, time_limit: Any, retry: Any
-) -> None:
-    def check(is_right: bool, name: str, expected: str, value: object) -> None:
-        if not is_right:
-            raise ValueError(f"`{name}`: expected {expected}, got {value!r}")
-
-    records = isinstance(items, Iterable) and not isinstance(items, str | Mapping)
-    check(records, "items", "records, one after another", items)
-    pool = executor is None or isinstance(executor, Executor)
-    check(pool, "executor", "a concurrent.futures.Executor", executor)
-    check(workers is None or _is_count(workers), "workers", "an integer of at least 1", workers)
-    pair = isinstance(shard, tuple) and len(shard) == 2 and all(map(_is_count, shard))
-    check(pair and shard[0] <= shard[1], "shard", "(i, n) with i from 1 to n", shard)
-    limit = time_limit is None or (isinstance(time_limit, int | float) and time_limit > 0)
-    check(limit, "time_limit", "positive seconds", time_limit)
-    known = [*STATUSES, *NO_FIT]
-    listed = not isinstance(retry, str) and {*retry} <= {*known}
-    check(listed, "retry", f"a list of statuses among {', '.join(known)}", retry)
-
-
 def _is_count(value: object) -> bool:
     """Return True for an integer of at least 1."""
     return isinstance(value, int) and not isinstance(value, bool) and value >= 1
 
 
-def _count(items: Iterable[Record], shard: tuple[int, int], done: Ledger) -> tuple[int | None, int]:
-    """Return the number of records in a shard (None for an iterator), and of those done.
-
-    It checks all ids, so that a missing one does not end a run of hours.
-    """
-    if isinstance(items, Iterator):
-        return None, 0
-    total = before = 0
-    for record in _shard_records(items, shard):
-        total += 1
-        before += done.has(record)
-    return total, before
+def _is_shard(value: Any) -> bool:
+    pair = isinstance(value, tuple) and len(value) == 2 and all(map(_is_count, value))
+    return pair and value[0] <= value[1]
 
 
-def _unfinished(
-    items: Iterable[Record],
-    shard: tuple[int, int],
-    done: Ledger,
-    rows_by_id: dict[str, Row],
-) -> Iterator[Record]:
-    """Yield the records that are not done; reserve the places of rows that stay in memory."""
-    for record in _shard_records(items, shard):
-        if not done.has(record):
-            if done.results is None:
-                rows_by_id[record["id"]] = {}
-            yield plain_record(record)  # processes can be handed plain values only
+#: A test of each argument, and what it expects.
+KNOWN = (*STATUSES, *NO_FIT)
+CHECKS: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "workers": (lambda x: x is None or _is_count(x), "an integer of at least 1"),
+    "shard": (_is_shard, "(i, n) with i from 1 to n"),
+    "time_limit": (
+        lambda x: x is None or (isinstance(x, int | float) and x > 0),
+        "positive seconds",
+    ),
+    "retry": (
+        lambda x: not isinstance(x, str) and {*x} <= {*KNOWN},
+        f"a list of statuses among {', '.join(KNOWN)}",
+    ),
+}
+
+
+def _check(**arguments: Any) -> None:
+    for name, value in arguments.items():
+        is_right, expected = CHECKS[name]
+        if not is_right(value):
+            raise ValueError(f"`{name}`: expected {expected}, got {value!r}")
 
 
 def _shard_records(items: Iterable[Record], shard: tuple[int, int]) -> Iterator[Record]:
@@ -203,11 +196,22 @@ def _shard_records(items: Iterable[Record], shard: tuple[int, int]) -> Iterator[
             yield record
 
 
+def _is_done(record: Record, done: Mapping[str, bytes], results: Results | None) -> bool:
+    """Return True for a finished record; raise ValueError if its settings have changed."""
+    id = record["id"]
+    if results is None or id not in done:
+        return False
+    now = settings_of(plain_record(record))
+    if done[id] == digest(now):
+        return True
+    then = settings_of(json.loads(results.row(id)["record"]))
+    other = next(name for name in now | then if now.get(name) != then.get(name))
+    values = f"{brief(then.get(other))}, and now {brief(now.get(other))}"
+    words = f"expected unchanged records, got {id!r}, whose {other!r} was {values}"
+    raise ValueError(f"`out`: {words}; use another folder for new settings")
+
+
 def _by_mesh(records: Iterator[Record]) -> Iterator[Record]:
     """Yield records, some thousands at a time sorted by mesh, which is then opened once."""
     while window := list(itertools.islice(records, WINDOW)):
-        yield from sorted(window, key=_mesh_of)
-
-
-def _mesh_of(record: Record) -> tuple[str, str]:
-    return str(record.get("mesh")), str(record.get("free"))
+        yield from sorted(window, key=lambda record: str(record.get("mesh")))

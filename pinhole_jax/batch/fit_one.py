@@ -10,15 +10,17 @@ from .records import Record, check_id, check_record, digest_of, setting
 from .rows import Row, empty_row
 
 if TYPE_CHECKING:
-    from .. import Fit
+    from .. import Camera, Fit
 
 
-def fit_one(record: Record) -> Row:
+def fit_one(record: Record, last: "Camera | None" = None) -> Row:
     """Return the row (`batch.COLUMNS`) of a record (`batch.FIELDS`).
 
+    `last`: the camera of the frame before, to start from if the record has none of its own.
+
     A wrong record or file makes a row whose status is "failed", never an exception, if the record
-    is a mapping with an `id`. The row depends on nothing but the record, its
-    files, and JAX's float type. Meshes are kept for the records that follow.
+    is a mapping with an `id`. The row depends on nothing but the record, its files, `last`, and
+    JAX's float type. Meshes are kept for the records that follow.
 
     Raises ValueError for a record without `id`.
 
@@ -35,9 +37,12 @@ def fit_one(record: Record) -> Row:
     try:
         checked = check_record(record)
         inputs = read_inputs(checked, notes.append)
+        if last is not None and inputs.camera is None and inputs.target.shape == (last.H, last.W):
+            known = {"phi": inputs.phi, "lens": inputs.lens} if "K" in checked else {}
+            inputs = inputs._replace(camera=last.replace(**known), phi=None, lens=None)
         names = {"outlier_px", "max_steps", "prior", "bounds"} & checked.keys()
         more = {name: checked[name] for name in names}
-        row = _row_of(checked, inputs.fit("photo" in checked, **more), "; ".join(notes))
+        row = _row_of(checked, pj.fit_camera(**inputs._asdict(), **more), "; ".join(notes))
     except Exception as error:  # one bad record does not stop the others
         known = isinstance(error, ValueError | OSError | ModuleNotFoundError)
         words = str(error) if known else f"{type(error).__name__}: {error}"
@@ -61,11 +66,11 @@ def _row_of(record: Record, fit: "Fit", words: str) -> Row:
     if fit.status == "non_finite":
         return row
     centres = setting(record, "pixel_centres")
-    K, R, t = pj.formats.to_opencv(fit.camera, pixel_centres=centres)
     plain = pj.io.fit_to_dict(fit._replace(history=()), pixel_centres=centres)
+    pose = pj.formats.object_pose(fit, pixel_centres=centres)
     return row | {
         **{name: plain[name] for name in ("e", "p", "u", "phi", "W", "H")},
-        **{name: x.ravel().tolist() for name, x in (("K", K), ("R", R), ("t", t))},
+        **{name: getattr(pose, name).ravel().tolist() for name in "KRt"},
         "lens": json.dumps(plain["lens"]),
         "fit": json.dumps(plain),
     }

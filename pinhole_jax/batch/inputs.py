@@ -40,26 +40,13 @@ class Inputs(NamedTuple):
     """The arguments of `fit_camera`; `photo` is for refinement or for drawing."""
 
     scene: pj.Scene
-    mask: np.ndarray
-    start: Start
+    target: np.ndarray
+    camera: pj.Camera | None
+    phi: Any
+    lens: pj.Lens | None
     free: str | Sequence[str]
     weight: np.ndarray | None = None
     photo: np.ndarray | None = None
-
-    def fit(self, refine: bool, **more: Any) -> pj.Fit:
-        """Return the fit, refined on the photo if asked to."""
-        camera, phi, lens = self.start
-        return pj.fit_camera(
-            self.scene,
-            self.mask,
-            camera,
-            free=self.free,
-            phi=phi,
-            lens=lens,
-            weight=self.weight,
-            photo=self.photo if refine else None,
-            **more,
-        )
 
 
 def read_inputs(record: Record, say: Say) -> Inputs:
@@ -75,8 +62,9 @@ def read_inputs(record: Record, say: Say) -> Inputs:
             weight = pj.io.load_mask(record["weight"], "luminance") / 255.0
     if "photo" in record:
         photo = read_photo(record["photo"], mask)
-    scene = read_scene(record["mesh"], say)
-    return Inputs(scene, mask, start, setting(record, "free"), weight, photo)
+    return Inputs(
+        read_scene(record["mesh"], say), mask, *start, setting(record, "free"), weight, photo
+    )
 
 
 def read_mask(record: Record, say: Say) -> np.ndarray:
@@ -90,12 +78,10 @@ def read_mask(record: Record, say: Say) -> np.ndarray:
             image = 255 - image if invert else image
     if speck := setting(record, "tidy"):
         image, notes = pj.io.tidy_mask(image, *([] if speck is True else [speck]))
-        hint = ""
-        if speck is not True:
-            notes = [note for note in notes if note.endswith(("dropped", "filled"))]
-            hint = "; turn this off with `tidy` (on the command line: --no-tidy)"
-        if notes:
-            say(f"mask: {'; '.join(notes)}{hint}")
+        changes = [note for note in notes if note.endswith(("dropped", "filled"))]
+        if shown := notes if speck is True else changes:
+            hint = "turn this off with `tidy` (on the command line: --no-tidy)"
+            say(f"mask: {'; '.join(shown)}; {hint}")
     return image
 
 
@@ -145,35 +131,72 @@ def read_start(record: Record, size: Size, say: Say) -> Start:
     ways = [name for name in ("camera", "K", "fov") if name in record]
     if len(ways) > 1:
         raise ValueError(f"`{ways[1]}`: expected none with `{ways[0]}`")
-    for name in ("start", "dist"):
-        if name in record and ways != ["K"]:
-            raise ValueError(f"`{name}`: expected `K` with it, got none")
-    window = _crop(record, size)
+    for name, needed in (("start", ["K"]), ("dist", ["K"]), ("crop", ["camera", "K"])):
+        if name in record and not {*ways} & {*needed}:
+            words = f"expected `{'` or `'.join(needed)}` with it, got none"
+            raise ValueError(f"`{name}`: {words}")
+    before, crop = _before_resize(record, size)
+    picture = before
+    if crop is not None:
+        left, top, W, H = crop
+        picture = math.ceil(max(left, 0)) + W, math.ceil(max(top, 0)) + H
     if ways == ["camera"]:
-        return Start(camera=window.camera(_file_camera(record, window.picture), "camera"))
-    if ways == ["K"]:
-        camera = _K_camera(record, window.picture)
-        if window.crop is None:
+        camera = _file_camera(record, picture)
+    elif ways == ["K"]:
+        camera = _K_camera(record, picture)
+        if crop is None:
             _check_centre(camera, setting(record, "pixel_centres"), say)
-        camera = window.camera(camera, "K")
-        has_pose = "start" in record
-        return Start(camera) if has_pose else Start(phi=camera.phi, lens=camera.lens)
-    if window.crop is not None:
+    elif (phi := _phi(record, say)) is None:
+        return Start()
+    else:
+        camera = poseless_camera(phi, *picture)
+    if crop is not None:
+        camera = pj.formats.cropped(camera, *crop)
+    elif before != (camera.W, camera.H):
+        got = f"{_size_words(before)}, got one of {_size_words((camera.W, camera.H))}"
         raise ValueError(
-            "`crop`: expected `camera` or `K` with it, got none: a field of view is that of the"
-            " whole photo, whose size is not known"
+            f"`{ways[0]}`: expected a camera of the mask's size {got}; if the mask was cut out of"
+            " its picture, or resized, add `crop` or `resize`"
         )
-    phi = _phi(record, say)
-    if phi is None or window.before == size:
-        return Start(phi=phi)
-    with named(phi="fov"):
-        camera = window.camera(poseless_camera(phi, *window.before), "fov")
-    return Start(phi=camera.phi, lens=camera.lens)
+    if before != size:
+        camera = pj.formats.resized(camera, *size)
+    has_pose = ways == ["camera"] or "start" in record
+    return Start(camera) if has_pose else Start(phi=camera.phi, lens=camera.lens)
 
 
 def poseless_camera(phi: Any, W: int, H: int, lens: pj.Lens | None = None) -> pj.Camera:
     """Return a camera of no known pose: 1 unit from the origin."""
     return pj.Camera([0, 0, 1], [0, 0, 0], [0, 1, 0], phi, 1.0, W, H, lens)
+
+
+def _before_resize(record: Record, size: Size) -> tuple[Size, tuple[float, float, int, int] | None]:
+    """Return the mask's size before it was resized, and its window (left, top, W, H) in the
+    picture, None if it shows all of that."""
+    before = size
+    if "resize" in record:
+        before = _pixel_size("resize", *numbers_of("resize", record["resize"], 2))
+    if "crop" not in record:
+        return before, None
+    left, top, *sides = numbers_of("crop", record["crop"], 4)
+    window = _pixel_size("crop", *sides)
+    if window != before:
+        raise ValueError(
+            f"`crop`: expected the size of the mask or of `resize`, {_size_words(before)}, got"
+            f" {_size_words(window)}; if the mask was resized after that, add `resize`"
+            f" {window[0]} {window[1]}"
+        )
+    return before, (left, top, *window)
+
+
+def _pixel_size(field: str, W: float, H: float) -> Size:
+    """A width and height as integers, or raise ValueError unless both are whole and positive."""
+    if W % 1 or H % 1 or min(W, H) < 1:
+        raise ValueError(f"`{field}`: expected a width and height in px, got {W:g} x {H:g}")
+    return int(W), int(H)
+
+
+def _size_words(size: Size) -> str:
+    return f"{size[0]} x {size[1]}"
 
 
 def _file_camera(record: Record, size: Size) -> pj.Camera:
@@ -202,12 +225,12 @@ def _K_camera(record: Record, size: Size) -> pj.Camera:
         if len(matrix) == 4:
             fx, fy, cx, cy = matrix
             matrix = [fx, 0, cx, 0, fy, cy, 0, 0, 1]
-        matrix = np.reshape(matrix, (3, 3))
     if "start" in record:
         pose = np.reshape(numbers_of("start", record["start"], 16), (4, 4))
+    matrix, R, t = np.reshape(matrix, (3, 3)), pose[:3, :3], pose[:3, 3]
     with named(lens="dist", R="start", t="start"):
         return pj.formats.from_opencv(
-            matrix, pose[:3, :3], pose[:3, 3], *size, pixel_centres=centres, distortion=distortion
+            matrix, R, t, *size, pixel_centres=centres, distortion=distortion
         )
 
 
@@ -229,23 +252,16 @@ def _check_centre(camera: pj.Camera, pixel_centres: Any, say: Say) -> None:
     """Raise ValueError for a principal point outside the picture; say if it is far from the
     middle."""
     W, H = camera.W, camera.H
-    (_, _, cx), (_, fy, cy), _ = pj.formats.to_opencv(camera, pixel_centres=pixel_centres)[0]
-    near = lambda x, y: math.hypot(x - W / 2, y - H / 2) <= MOST_OFF * W
-    if near(cx, cy):
+    cx, cy = pj.formats.to_opencv(camera, pixel_centres=pixel_centres)[0][:2, 2]
+    if math.hypot(cx - W / 2, cy - H / 2) <= MOST_OFF * W:
         return
-    if near(cy, cx):
-        hint = "are cx and cy exchanged?"
-    elif near(fy, cy):
-        hint = "the order is fx fy cx cy"
-    else:
-        hint = "was the picture resized? Then add the size that `K` belongs to: `resize` W H"
-        if min(cx, cy) > 0 and abs(cx / W / (cy / H) - 1) < MOST_OFF:
-            hint += f" (about {2 * math.ceil(cx)} x {2 * math.ceil(cy)})"
-    point = f"({cx:g}, {cy:g}) px in a picture of {W} x {H}: {hint}"
+    point = (
+        f"at ({cx:g}, {cy:g}) px in a picture of {W} x {H}: is the order fx fy cx cy? If the"
+        " picture was cut or resized, add `crop`, or `resize` with the size that `K` belongs to"
+    )
     if not (0 <= cx < W - 1 and 0 <= cy < H - 1):
-        raise ValueError(f"`K`: expected a principal point inside the picture, got {point}")
-    say(f"note: `K` has its principal point {cx - W / 2:+.0f}, {cy - H / 2:+.0f} px from the"
-        f" middle, at {point}")  # fmt: skip
+        raise ValueError(f"`K`: expected a principal point inside the picture, got one {point}")
+    say(f"note: `K` has its principal point far from the middle, {point}")
 
 
 def _phi(record: Record, say: Say) -> float | None:
@@ -253,10 +269,11 @@ def _phi(record: Record, say: Say) -> float | None:
     if "fov" in record:
         check_fov(record["fov"], say)
         return math.radians(record["fov"])
-    photo, free = record.get("photo", record.get("mask")), setting(record, "free")
-    names = {name.strip() for name in (free.split(",") if isinstance(free, str) else free)}
-    focal_is_free = not names.isdisjoint({"phi", "d"})
-    with named(path="photo" if "photo" in record else "mask"):
+    source, free = "photo" if "photo" in record else "mask", setting(record, "free")
+    names = free.split(",") if isinstance(free, str) else free
+    focal_is_free = any(name.strip() in ("phi", "d") for name in names)
+    with named(path=source):
+        photo = record.get(source)
         fov = pj.io.photo_fov(photo) if isinstance(photo, str) else None
     if fov is not None:
         held = "a first guess" if focal_is_free else "held fixed: phi is not in `free`"
@@ -272,79 +289,8 @@ def _phi(record: Record, say: Say) -> float | None:
 
 def check_fov(fov: Any, say: Say) -> None:
     """Raise ValueError unless this is a field of view in degrees; say if it may be radians."""
-    if isinstance(fov, bool) or not isinstance(fov, int | float) or not 0 < fov < 180:
-        raise ValueError(f"`fov`: expected degrees between 0 and 180, got {fov!r}")
-    words = f"got {fov:g}: degrees? {fov:g} rad are {math.degrees(fov):.1f} degrees"
-    if fov < LEAST_FOV:
-        raise ValueError(f"`fov`: expected at least {LEAST_FOV:g} degree, {words}")
+    if not (isinstance(fov, int | float) and LEAST_FOV <= fov < 180):
+        words = f"expected degrees between {LEAST_FOV:g} and 180, got {fov!r}"
+        raise ValueError(f"`fov`: {words}")
     if fov < math.pi:
-        say(f"note: `fov`: {words}")
-
-
-# A mask that shows a part of its picture, or was resized.
-
-
-class _Crop(NamedTuple):
-    """The part of the camera's picture that a mask shows.
-
-    - `crop`: left, top, W, H (px); None: the whole picture.
-    - `before`: the mask's size (W, H) before it was resized. `size`: its size now.
-    """
-
-    crop: tuple[float, float, int, int] | None
-    before: Size
-    size: Size
-
-    @property
-    def picture(self) -> Size:
-        """Return the size of a picture that holds the window."""
-        if self.crop is None:
-            return self.before
-        left, top, W, H = self.crop
-        return math.ceil(max(left, 0)) + W, math.ceil(max(top, 0)) + H
-
-    def camera(self, camera: pj.Camera, field: str) -> pj.Camera:
-        """Return the mask's camera, from the whole picture's, which `field` gave."""
-        if self.crop is not None:
-            with named(W="crop", H="crop"):
-                camera = pj.formats.cropped(camera, *self.crop)
-        elif self.before != (camera.W, camera.H):
-            before, size = _size_words(self.before), _size_words((camera.W, camera.H))
-            if self.before != self.size:
-                words = f"expected the size of the camera of `{field}`, {size}, got {before}"
-                raise ValueError(f"`resize`: {words}")
-            raise ValueError(
-                f"`{field}`: expected a camera of the mask's size {before}, got one of {size}; if"
-                " the mask was cut out of its picture, or resized, add `crop` or `resize`"
-            )
-        return camera if self.before == self.size else pj.formats.resized(camera, *self.size)
-
-
-def _crop(record: Record, size: Size) -> _Crop:
-    before = size
-    if "resize" in record:
-        before = _pixel_size("resize", *numbers_of("resize", record["resize"], 2))
-    if "crop" not in record:
-        return _Crop(None, before, size)
-    left, top, *sides = numbers_of("crop", record["crop"], 4)
-    inside = _pixel_size("crop", *sides)
-    if inside != before and "resize" not in record:
-        raise ValueError(
-            f"`crop`: expected the mask's size {_size_words(size)}, got {_size_words(inside)};"
-            f" if it was resized after that, add `resize` {inside[0]} {inside[1]}"
-        )
-    if inside != before:
-        words = f"expected the size of `crop`, {_size_words(inside)}, got {_size_words(before)}"
-        raise ValueError(f"`resize`: {words}")
-    return _Crop((left, top, *inside), before, size)
-
-
-def _pixel_size(field: str, W: float, H: float) -> Size:
-    """A width and height as integers, or raise ValueError unless both are whole and positive."""
-    if W % 1 or H % 1 or min(W, H) < 1:
-        raise ValueError(f"`{field}`: expected a width and height in px, got {W:g} x {H:g}")
-    return int(W), int(H)
-
-
-def _size_words(size: Size) -> str:
-    return f"{size[0]} x {size[1]}"
+        say(f"note: `fov`: got {fov:g}: degrees? {fov:g} rad are {math.degrees(fov):.1f} degrees")

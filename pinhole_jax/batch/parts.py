@@ -5,17 +5,14 @@ import itertools
 import json
 import os
 import secrets
-import sys
-import threading
 import time
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
-from reprlib import repr as brief
 from typing import NamedTuple
 
 from .._files.paths import replace_file
-from .records import Record, plain_record, settings_of
+from .records import Record, settings_of
 from .rows import Row, line_of, row_of
 
 #: A part is written after this many rows or seconds: a crash loses no more.
@@ -41,31 +38,21 @@ class Writer:
     def __init__(self, folder: Path):
         self.folder = folder
         self._waiting: list[str] = []
-        self._lock = threading.Lock()
-        self._timer: threading.Timer | None = None
+        self._flushed = time.monotonic()
 
     def add(self, row: Row) -> None:
-        """Append a row; it reaches the disk with `flush`, or some rows or seconds later."""
-        with self._lock:
-            self._waiting.append(line_of(row))
-            if self._timer is None:
-                self._timer = threading.Timer(SECONDS, self.flush)
-                self._timer.daemon = True
-                self._timer.start()
-        if len(self._waiting) >= ROWS:
+        """Append a row, and write those of the last seconds as a part, now and then."""
+        self._waiting.append(line_of(row))
+        if len(self._waiting) >= ROWS or time.monotonic() - self._flushed >= SECONDS:
             self.flush()
 
     def flush(self) -> None:
         """Write the waiting rows as a part."""
-        with self._lock:
-            if self._timer is not None:
-                self._timer.cancel()
-                self._timer = None
-            if self._waiting:
-                # Named by time: the last row of a record counts.
-                name = f"part-{time.time_ns():020d}-{secrets.token_hex(4)}.jsonl"
-                write_lines(self.folder / name, self._waiting)
-                self._waiting = []
+        if self._waiting:
+            # Named by time: the last row of a record counts.
+            name = f"part-{time.time_ns():020d}-{secrets.token_hex(4)}.jsonl"
+            write_lines(self.folder / name, self._waiting)
+        self._waiting, self._flushed = [], time.monotonic()
 
 
 class _Place(NamedTuple):
@@ -98,14 +85,19 @@ class Results:
 
     def ids(self, but: Collection[str] = ()) -> set[str]:
         """Return the ids of all rows, except those with the statuses `but`."""
-        return {id for id, place in self._places().items() if place.status not in but}
+        return {*self.settings(but)}
+
+    def settings(self, but: Collection[str] = ()) -> dict[str, bytes]:
+        """Return a digest of each record's settings by id, except for the statuses `but`."""
+        places = self._places().items()
+        return {id: place.settings for id, place in places if place.status not in but}
 
     def __len__(self) -> int:
         return len(self._places())
 
     def __iter__(self) -> Iterator[Row]:
         places = self._places()
-        yield from _rows_at(places[id] for id in sorted(places))
+        return (_row_at(places[id]) for id in sorted(places))
 
     def rows(self, ids: Iterable[str]) -> list[Row]:
         """Return the rows of these ids, in their order; raise ValueError for an unknown id."""
@@ -113,7 +105,7 @@ class Results:
         if missing := [id for id in wanted if id not in places]:
             words = f"expected one of the rows in {str(self.folder)!r}, got {missing[0]!r}"
             raise ValueError(f"`id`: {words}")
-        return [*_rows_at(places[id] for id in wanted)]
+        return [_row_at(places[id]) for id in wanted]
 
     def row(self, id: str) -> Row:
         """Return the row of an id; raise ValueError for an unknown id."""
@@ -123,11 +115,6 @@ class Results:
         """Return the number of rows of each status, the most frequent first."""
         return dict(Counter(place.status for place in self._places().values()).most_common())
 
-    def done(self, but: Collection[str] = ()) -> "Ledger":
-        """Return the finished records, except those with the statuses `but`."""
-        places = self._places()
-        return Ledger(self, {id: x.settings for id, x in places.items() if x.status not in but})
-
     def _places(self) -> dict[str, _Place]:
         """Return the place of each id's last row."""
         places: dict[str, _Place] = {}
@@ -136,49 +123,27 @@ class Results:
             with open(path, "rb") as stream:
                 for line in stream:
                     id, status, settings = _head(line, path)
-                    places[id] = _Place(path, offset, sys.intern(status), settings)
+                    places[id] = _Place(path, offset, status, settings)
                     offset += len(line)
         return places
 
 
-class Ledger(NamedTuple):
-    """Results, and a digest of the settings of each finished record."""
-
-    results: Results | None = None
-    settings: dict[str, bytes] = {}  # noqa: RUF012
-
-    def has(self, record: Record) -> bool:
-        """Return True for a finished record; raise ValueError if its settings have changed."""
-        id = record["id"]
-        if self.results is None or id not in self.settings:
-            return False
-        now = settings_of(plain_record(record))
-        if self.settings[id] == _digest(now):
-            return True
-        then = settings_of(json.loads(self.results.row(id)["record"]))
-        other = next(name for name in now | then if now.get(name) != then.get(name))
-        values = f"{brief(then.get(other))}, and now {brief(now.get(other))}"
-        words = f"expected unchanged records, got {id!r}, whose {other!r} was {values}"
-        raise ValueError(f"`out`: {words}; use another folder for new settings")
-
-
-def _digest(settings: Record) -> bytes:
+def digest(settings: Record) -> bytes:
+    """Return a short digest of a record's settings."""
     return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).digest()[:8]
 
 
-def _rows_at(places: Iterable[_Place]) -> Iterator[Row]:
-    """Yield the rows at places."""
-    for path, offset, *_ in places:
-        with open(path, "rb") as stream:
-            stream.seek(offset)
-            yield row_of(stream.readline().decode())
+def _row_at(place: _Place) -> Row:
+    with open(place.path, "rb") as stream:
+        stream.seek(place.offset)
+        return row_of(stream.readline().decode())
 
 
 def _head(line: bytes, path: Path) -> tuple[str, str, bytes]:
     """Return a row's id and status, and the digest of its record's settings."""
     try:
-        data = json.loads(line)
-        return data["id"], data["status"], _digest(settings_of(json.loads(data["record"])))
+        row = json.loads(line)
+        return row["id"], row["status"], digest(settings_of(json.loads(row["record"])))
     except (ValueError, KeyError, TypeError, AttributeError):
         words = f"expected rows of `fit_many`, got {path.name}"
         cure = "if it is damaged, delete it: its records are fitted again"

@@ -46,6 +46,8 @@ DEFAULTS: dict[str, Any] = {
     "invert": False,
     "tidy": SPECK,
 }
+#: The types of fields that nothing else checks.
+TYPES = {"invert": bool, "tidy": bool | float}
 
 
 def check_record(record: Any) -> dict[str, Any]:
@@ -57,28 +59,17 @@ def check_record(record: Any) -> dict[str, Any]:
     if unknown := [name for name in record if name not in FIELDS]:
         known = ", ".join(FIELDS)
         raise ValueError(f"`item`: expected fields among {known}, got {unknown[0]!r}")
-    plain = {n: x for n, x in plain_record(record).items() if _has_value(n, x)}
+    plain = plain_record(record)
     if missing := {"mesh", "mask"} - plain.keys():
         raise ValueError(f"`item`: expected `mesh` and `mask`, got no {' and no '.join(missing)}")
-    for name in {"invert", "tidy"} & plain.keys():
-        share = name == "tidy" and isinstance(plain[name], float)  # below which specks go
-        if not (isinstance(plain[name], bool) or share):
+    for name, kind in TYPES.items():
+        if not isinstance(plain.get(name, False), kind):
             raise ValueError(f"`{name}`: expected true or false, got {plain[name]!r}")
     try:
         json.dumps(plain, allow_nan=False)
-    except (TypeError, ValueError) as error:
+    except ValueError as error:
         raise ValueError(f"`item`: expected what JSON can hold, got {error}") from None
     return plain
-
-
-def _has_value(name: str, value: Any) -> bool:
-    """Return False for a field that is as good as missing; `outlier_px` means something as null."""
-    return value is not None or name == "outlier_px"
-
-
-def plain_record(record: Record) -> dict[str, Any]:
-    """Return a record as a dict without what JSON has not: paths are texts, arrays lists."""
-    return {str(name): _plain(value) for name, value in record.items()}
 
 
 def check_id(record: Any) -> None:
@@ -89,17 +80,20 @@ def check_id(record: Any) -> None:
         raise ValueError(f"`id`: expected a text, got {record.get('id')!r}")
 
 
+def plain_record(record: Record) -> dict[str, Any]:
+    """Return a record as JSON has it: paths are texts, arrays lists, missing values left out."""
+    plain = json.loads(json.dumps(dict(record), default=_plain, skipkeys=True))
+    # (As null, `outlier_px` means something.)
+    return {name: x for name, x in plain.items() if x is not None or name == "outlier_px"}
+
+
 def _plain(value: Any) -> Any:
     if isinstance(value, os.PathLike):
         return os.fspath(value)
     if isinstance(value, Mapping):
-        return plain_record(value)
-    if hasattr(value, "tolist"):
-        return value.tolist()
-    if isinstance(value, list | tuple):
-        return [_plain(part) for part in value]
+        return dict(value)
     # (A value of any other kind means nothing, but the row shows it.)
-    return value if isinstance(value, str | int | float | None) else repr(value)
+    return value.tolist() if hasattr(value, "tolist") else repr(value)
 
 
 def shard_of(id: str, count: int) -> int:
@@ -134,13 +128,8 @@ def has_numbers(text: str) -> bool:
 
 def settings_of(record: Record) -> dict[str, Any]:
     """Return the fields of a plain record that change its fit, but for its id and its paths."""
-    return {
-        name: value
-        for name, value in record.items()
-        if name not in {"id", *files_of(record)}
-        and _has_value(name, value)
-        and value != DEFAULTS.get(name, ...)
-    }
+    others = {"id", *files_of(record)}
+    return {n: x for n, x in record.items() if n not in others and x != DEFAULTS.get(n, ...)}
 
 
 def digest_of(record: Record) -> str:

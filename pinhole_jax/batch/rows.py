@@ -1,7 +1,6 @@
 """A row: the result of one record, as plain values that fit into a line of a file."""
 
 import json
-import math
 from typing import Any
 
 from .. import __version__
@@ -45,8 +44,6 @@ NO_FIT = {
     "timed_out": "stopped at the time limit",
     "crashed": "ended its process, twice",
 }
-#: Numbers that JSON has no word for.
-NOT_FINITE = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
 
 
 def empty_row(record: Record, status: str, words: str, seconds: float = 0.0) -> Row:
@@ -57,26 +54,16 @@ def empty_row(record: Record, status: str, words: str, seconds: float = 0.0) -> 
 
 
 def line_of(row: Row) -> str:
-    """Return a row as a line of JSON."""
-    return json.dumps({name: _json_value(value) for name, value in row.items()}, allow_nan=False)
+    """Return a row as a line of JSON; numbers that it has no word for are texts."""
+    return json.dumps(json.loads(json.dumps(row), parse_constant=str), allow_nan=False)
 
 
 def row_of(line: str) -> Row:
     """Return the row of `line_of`'s line."""
-    return {name: _row_value(name, value) for name, value in json.loads(line).items()}
-
-
-def _json_value(value: Any) -> Any:
-    if isinstance(value, list):
-        return [_json_value(part) for part in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"
-    return value
-
-
-def _row_value(name: str, value: Any) -> Any:
-    """A value of a row's JSON, NaN and infinities as floats again."""
-    kind = COLUMNS.get(name)
-    if kind == list[float] and value is not None:
-        return [NOT_FINITE[x] if isinstance(x, str) else x for x in value]
-    return NOT_FINITE[value] if kind is float and isinstance(value, str) else value
+    row = json.loads(line)
+    for name, value in row.items():
+        if value is not None and COLUMNS.get(name) is float:
+            row[name] = float(value)
+        elif value is not None and COLUMNS.get(name) == list[float]:
+            row[name] = [float(x) for x in value]
+    return row

@@ -22,22 +22,11 @@ from .outline import (
     outline_sigma,
     overlay,
 )
-from .page import Html, as_html, document, facts, figure, items, status, table
+from .page import ENDINGS, Html, as_html, document, facts, figure, items, status, table
 from .space import scene_view
 from .table import parameters
 from .trust import trust
 
-#: The file written for each format; all files of a folder are shown.
-FILES = {
-    "json": "camera.json",
-    "opencv": "camera.yaml",
-    "colmap": "colmap",
-    "nerf": "transforms.json",
-    "blender-script": "camera.py",
-    "gltf": "camera.gltf",
-    "pytorch3d": "pytorch3d.json",
-    "mitsuba": "camera.xml",
-}
 #: An object smaller than this share of the picture is also shown enlarged.
 SMALL = 0.3
 DIFFERENCE = (
@@ -199,8 +188,10 @@ def _convergence(fit: Fit, scene: Scene) -> str:
 def _files(camera: Camera) -> Iterator[str]:
     """Yield each format's text, or the reason why it cannot hold the camera."""
     with tempfile.TemporaryDirectory() as folder:
-        for name, file in FILES.items():
-            path = Path(folder) / file
+        for name, ending in ENDINGS.items():
+            if name == "colmap-binary":
+                continue
+            path = Path(folder) / f"camera{ending}"
             try:
                 formats.write(path, {"camera": camera}, name)
             except ValueError as error:

@@ -21,6 +21,15 @@ SHOWN_PX = 800
 #: Outline and mask differ if they are farther apart than this (px) along more than this share:
 #: thin parts between pixels' centres do not count.
 APART_PX, LEAST = 3.0, 0.02
+CUT_OFF = "the picture's border cuts off {:.0%} of the object's outline"
+MISSING = (
+    "{:.0%} of the model's outline (near {}) is more than 3 px from the mask's edge: is the mask"
+    " cut off or covered there? Give those pixels the weight 0"
+)
+EXTRA = (
+    "{:.0%} of the mask's edge (near {}) is more than 3 px from the model's outline: holes, specks"
+    " or background in the mask? Try --tidy"
+)
 
 Window = tuple[int, int, int, int]
 
@@ -123,10 +132,7 @@ def _draw_band(canvas: Any, segments: np.ndarray, half: np.ndarray) -> None:
     cover = Image.new("L", canvas.size)
     draw = ImageDraw.Draw(cover)
     for (a, b), wide in zip(segments, half, strict=True):
-        across = np.array([b[1] - a[1], a[0] - b[0]])
-        across *= wide / max(np.linalg.norm(across), 1e-30)
-        corners = np.concatenate([a + across, b + across, b - across, a - across])
-        draw.polygon(corners.tolist(), 255)
+        draw.line([*a, *b], 255, max(round(2 * wide), 1))
         draw.ellipse([*(b - wide), *(b + wide)], 255)
     border = ImageChops.subtract(cover, cover.filter(ImageFilter.MinFilter(7)))
     tint = cover.point([TINT * value // 255 for value in range(256)])
@@ -183,47 +189,35 @@ def disagreement(camera: Camera, scene: Scene, target: np.ndarray) -> tuple[str,
         print(sentence)
     ```
     """
-    from scipy.ndimage import binary_dilation, binary_erosion, distance_transform_edt
+    from scipy.ndimage import binary_dilation, binary_erosion
+    from scipy.spatial import KDTree
 
     mask = coverage_of(target, camera) > 0.5
     lines = outline(camera, scene)
     if not len(lines) or np.all(mask) or not np.any(mask):
         return ()
     middle, length = lines.mean(axis=1), np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1)
-    inside = np.all((middle > 0) & (middle < [camera.W, camera.H]), axis=1)
-    words, share = [], np.sum(length[~inside]) / np.sum(length)
-    if share > LEAST:
-        words.append(f"the picture's border cuts off {share:.0%} of the object's outline")
-    if not np.any(inside):
-        return tuple(words)
-    column, row = np.floor(middle[inside]).astype(int).T
-    row = camera.H - 1 - row
-    edge = np.not_equal(binary_dilation(mask), binary_erosion(mask, border_value=1))
-    off = np.asarray(distance_transform_edt(~edge))[row, column] > APART_PX
-    share = np.sum(length[inside][off]) / np.sum(length[inside])
-    if share > LEAST:
-        words.append(
-            f"{share:.0%} of the model's outline (near {_place(column[off], row[off])}) is more"
-            f" than {APART_PX:g} px from the mask's edge: is the mask cut off or covered there?"
-            " Give those pixels the weight 0"
-        )
-    free = np.ones(mask.shape, bool)
-    free[row, column] = False
-    apart = edge & (np.asarray(distance_transform_edt(free)) > APART_PX)
-    share = np.count_nonzero(apart) / np.count_nonzero(edge)
-    if share > LEAST:
-        y, x = np.nonzero(apart)
-        words.append(
-            f"{share:.0%} of the mask's edge (near {_place(x, y)}) is more than {APART_PX:g} px"
-            " from the model's outline: holes, specks or background in the mask? Try --tidy"
-        )
-    return tuple(words)
+    is_in = np.all((middle > 0) & (middle < [camera.W, camera.H]), axis=1)
+    share = lambda weights, chosen: np.sum(weights[chosen]) / np.sum(weights)
+    cases = [(CUT_OFF, share(length, ~is_in), middle)]
+    if np.any(is_in):
+        middle, length = middle[is_in], length[is_in]
+        edge = np.not_equal(binary_dilation(mask), binary_erosion(mask, border_value=1))
+        pixels = (np.argwhere(edge)[:, ::-1] + 0.5) * [1, -1] + [0, camera.H]
+        is_far = lambda points, others: KDTree(others).query(points)[0] > APART_PX
+        lost, extra = is_far(middle, pixels), is_far(pixels, middle)
+        cases.append((MISSING, share(length, lost), middle[lost]))
+        cases.append((EXTRA, np.mean(extra), pixels[extra]))
+    return tuple(
+        words.format(part, _place(camera, points)) for words, part, points in cases if part > LEAST
+    )
 
 
-def _place(x: np.ndarray, y: np.ndarray) -> str:
-    """Return the pixel nearest to the median of several."""
-    nearest = np.argmin(np.hypot(x - np.median(x), y - np.median(y)))
-    return f"column {x[nearest]}, row {y[nearest]}"
+def _place(camera: Camera, points: np.ndarray) -> str:
+    """Return the pixel of the film point nearest to the median of several."""
+    off = np.linalg.norm(points - np.median(points, axis=0), axis=1)
+    x, y = points[np.argmin(off)]
+    return f"column {int(x)}, row {int(camera.H - y)}"
 
 
 def coverage_of(target: np.ndarray, camera: Camera) -> np.ndarray:
@@ -239,8 +233,7 @@ def check_fit(fit: Any) -> None:
 
 
 def _check_size(name: str, image: Any, camera: Camera) -> None:
-    if np.shape(image)[:2] != (camera.H, camera.W):
-        raise ValueError(
-            f"`{name}`: expected the camera's size (H, W) = ({camera.H}, {camera.W}),"
-            f" got {np.shape(image)[:2]}"
-        )
+    size, expected = np.shape(image)[:2], (camera.H, camera.W)
+    if size != expected:
+        words = f"expected the camera's size (H, W) = {expected}, got {size}"
+        raise ValueError(f"`{name}`: {words}")

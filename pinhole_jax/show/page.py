@@ -10,6 +10,20 @@ import numpy as np
 from .. import Fit, JointFit, __version__
 from ..names import STATUSES
 
+#: The ending of a camera's file, or of its folder, after its name, by format.
+ENDINGS = {
+    "json": ".json",
+    "opencv": ".yaml",
+    "colmap": "_colmap",
+    "colmap-binary": "_colmap_binary",
+    "nerf": "_transforms.json",
+    "blender": "_blender.json",
+    "blender-script": "_blender.py",
+    "gltf": ".gltf",
+    "pytorch3d": "_pytorch3d.json",
+    "mitsuba": ".xml",
+}
+
 
 class Html(str):
     """HTML text; all other text is escaped."""

@@ -59,7 +59,7 @@ def robot_page(
     }
     for heading, words in {"Halves of the postures": halves, "Other postures": proposed}.items():
         if words is not None:
-            sections[heading] = f"<p>{as_html(words)}</p>"
+            sections[heading] = f"<pre>{as_html(words)}</pre>"
     return document("Camera of a robot", status(fit) + facts(numbers), sections)
 
 

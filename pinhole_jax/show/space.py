@@ -1,6 +1,7 @@
 """The object and the camera in space, seen from the side."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -40,38 +41,26 @@ def scene_view(camera: Camera, scene: Scene, size: int = 800) -> np.ndarray:
     from PIL import Image, ImageDraw
 
     axes, eye = axes_of(camera), np.asarray(camera.e, float)
-    triangles, balls = _solids(scene)
-    middle = np.concatenate([triangles.reshape(-1, 3), balls[:, :3]]).mean(axis=0)
+    points = points_of(scene)
+    middle = points.mean(axis=0)
     depth = max(float((middle - eye) @ axes[2]), 1e-6 * float(np.linalg.norm(middle - eye)), 1e-30)
     border = _border(camera)
     border = eye + depth / np.maximum(border @ axes[2], LEAST_COSINE)[:, None] * border
     film = border[::SIDE]
     tick = (film[2] + film[3]) / 2 + 0.15 * np.linalg.norm(film[2] - film[1]) * axes[1]
-    ends = [b[:3] + s * b[3] for b in balls for s in (-1, 1)]
-    spread = np.concatenate([np.array([*border, eye, tick, *ends]), triangles.reshape(-1, 3)])
     wide, high = 2 * size, 2 * (3 * size // 4)  # drawn at twice the size and averaged down
     view = _side_axes(axes)
+    spread = np.array([*border, eye, tick, *points])
     place, scale = _placement(spread, view, (wide, high), 0.06 * high)
 
     canvas = Image.new("RGB", (wide, high), GROUND)
     draw = ImageDraw.Draw(canvas, "RGBA")
-    flat = lambda points: place(points).ravel().tolist()
+    flat = lambda points: place(np.array(points)).ravel().tolist()
     draw.polygon(flat(border), FILM)
-    corners = triangles @ view.T
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    light = np.abs(normal[:, 2]) / np.maximum(np.linalg.norm(normal, axis=1), 1e-30)
-    colours = ((0.35 + 0.65 * light[:, None]) * FACE).astype(int).tolist()
-    depths = np.concatenate([corners[..., 2].mean(axis=1), balls[:, :3] @ view[2]])
-    placed = place(triangles).reshape(-1, 6).tolist()
-    for k in np.argsort(depths):
-        if k < len(placed):
-            draw.polygon(placed[k], tuple(colours[k]), tuple(colours[k]))
-        else:
-            ball = balls[k - len(placed)]
-            at, r = place(ball[:3]), ball[3] * scale
-            draw.ellipse([*(at - r), *(at + r)], BALL, RIM)
+    for _, shape, *look in sorted(_solids(scene, view, place, scale), key=lambda solid: solid[0]):
+        getattr(draw, shape)(*look)
     for path in (*([eye, corner] for corner in film), [*border, film[0]], [film[3], tick, film[2]]):
-        draw.line(flat(np.array(path)), (*LINE, 230), 4)
+        draw.line(flat(path), (*LINE, 230), 4)
     draw.ellipse([*(place(eye) - 9), *(place(eye) + 9)], LINE)
     return np.asarray(canvas.resize((wide // 2, high // 2), Image.Resampling.BOX))
 
@@ -156,11 +145,33 @@ def _border(camera: Camera) -> Points:
     return np.asarray(rays_through(camera, points.astype(camera.e.dtype)).direction, float)
 
 
-def _solids(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Return triangles (n, 3, 3), and spheres (m, 4) as centre and radius."""
-    triangles, balls = np.zeros((0, 3, 3)), np.zeros((0, 4))
+def points_of(scene: Scene) -> Points:
+    """Return the points of an object: vertices of faces, and the ends of spheres' boxes."""
+    points = [np.zeros((0, 3))]
+    if scene.mesh is not None:
+        used = np.unique(np.asarray(scene.mesh.faces))
+        points.append(np.asarray(scene.mesh.vertices, float)[used])
+    if scene.spheres is not None:
+        sides = np.concatenate([np.eye(3), -np.eye(3)])
+        out = np.asarray(scene.spheres.radii, float)[:, None, None] * sides
+        points += [*(np.asarray(scene.spheres.centers, float)[:, None] + out)]
+    return np.concatenate(points)
+
+
+def _solids(
+    scene: Scene, view: np.ndarray, place: Callable[[np.ndarray], np.ndarray], scale: float
+) -> Iterator[tuple[Any, ...]]:
+    """Yield faces and spheres: their depth, shape, place in the picture, colour and border."""
     if scene.mesh is not None:
         triangles = np.asarray(scene.mesh.vertices, float)[np.asarray(scene.mesh.faces)]
+        a, b, c = np.moveaxis(triangles @ view.T, 1, 0)
+        normal = np.cross(b - a, c - a)
+        light = np.abs(normal[:, 2]) / np.maximum(np.linalg.norm(normal, axis=1), 1e-30)
+        colours = ((0.35 + 0.65 * light[:, None]) * FACE).astype(int).tolist()
+        corners = place(triangles).reshape(-1, 6).tolist()
+        for depth, at, colour in zip((a + b + c)[:, 2] / 3, corners, colours, strict=True):
+            yield depth, "polygon", at, tuple(colour), tuple(colour)
     if scene.spheres is not None:
-        balls = np.column_stack([scene.spheres.centers, scene.spheres.radii]).astype(float)
-    return triangles, balls
+        for centre, radius in zip(scene.spheres.centers, scene.spheres.radii, strict=True):
+            at, r = place(np.asarray(centre, float)), float(radius) * scale
+            yield float(view[2] @ centre), "ellipse", [*(at - r), *(at + r)], BALL, RIM

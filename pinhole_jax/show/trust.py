@@ -9,7 +9,7 @@ from jaxtyping import Float
 from .. import Camera, Fit, Scene, outline, project, rays_through
 from .outline import check_fit, outline_sigma, sigma_moves
 from .page import Svg
-from .space import LEAST_COSINE, axes_of
+from .space import LEAST_COSINE, axes_of, points_of
 
 #: The film is divided into about this many fields across, and drawn this wide.
 FIELDS, WIDTH = 48, 560.0
@@ -69,7 +69,7 @@ def trust(fit: Fit, scene: Scene) -> Trust:
     """
     check_fit(fit)
     camera, axes = fit.camera, axes_of(fit.camera)
-    eye, points = np.asarray(camera.e, float), _points(scene)
+    eye, points = np.asarray(camera.e, float), points_of(scene)
     depth = float(np.mean((points - eye) @ axes[2]))
     side = camera.W / FIELDS
     columns, rows = FIELDS, max(round(camera.H / side), 1)
@@ -84,21 +84,6 @@ def trust(fit: Fit, scene: Scene) -> Trust:
     across = outline_sigma(fit, scene)
     picture = _picture(camera, film.reshape(rows, columns), outline(camera, scene))
     return Trust(places, film, across, float(spread[farthest]), points[farthest], picture)
-
-
-def _points(scene: Scene) -> np.ndarray:
-    """The points (n, 3) of an object: vertices of faces, and the ends of spheres' boxes."""
-    found = [np.zeros((0, 3))]
-    if scene.mesh is not None:
-        used = np.unique(np.asarray(scene.mesh.faces))
-        found.append(np.asarray(scene.mesh.vertices, float)[used])
-    if scene.spheres is not None:
-        centres, radii = (
-            np.asarray(x, float) for x in (scene.spheres.centers, scene.spheres.radii)
-        )
-        sides = np.concatenate([np.eye(3), -np.eye(3)])
-        found.append((centres[:, None] + radii[:, None, None] * sides).reshape(-1, 3))
-    return np.concatenate(found)
 
 
 def _worst(fit: Fit, value: Callable[[Camera], np.ndarray], depth: float) -> np.ndarray:
