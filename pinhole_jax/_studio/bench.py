@@ -37,7 +37,7 @@ from .strokes import (
 )
 from .workpiece import Workpiece, workpiece_of
 
-#: What the page is told, as JSON holds it.
+#: The answer to an action, as JSON holds it.
 Answer = dict[str, Any]
 #: The actions that the page may call.
 ACTIONS = [

@@ -134,7 +134,7 @@ def _object(photo: np.ndarray, seeds: np.ndarray) -> np.ndarray:
             return object_
         for label, part in ((1, object_), (2, ~object_)):
             labels[(_depth(part) > EDGE_PX) & (labels == 0)] = label
-    if len(np.unique(labels)) < 3:  # all is said, or nothing
+    if len(np.unique(labels)) < 3:  # nothing is left to guess, or to guess from
         return labels == 1
     return _random_walker(photo, labels) == 1
 
