@@ -69,20 +69,16 @@ def within(weights: Weights, window: Window) -> Weights:
 
 def total(weights: Weights) -> float:
     """Return the sum of weights."""
-    if isinstance(weights, NearWeights):
-        return float(np.sum(weights.value))
-    if alike(weights):
-        return weights.size * float(weights.flat[0])
-    return float(np.sum(weights))
+    return float(np.sum(_values(weights)))
 
 
 def counted(weights: Weights) -> int:
     """The number of pixels that have a weight."""
-    if isinstance(weights, NearWeights):
-        return int(np.count_nonzero(weights.value))
-    if alike(weights):
-        return weights.size * int(weights.flat[0] > 0)
-    return int(np.count_nonzero(weights))
+    return int(np.count_nonzero(_values(weights)))
+
+
+def _values(weights: Weights) -> np.ndarray:
+    return weights.value if isinstance(weights, NearWeights) else weights
 
 
 def alike(weights: Weights) -> bool:
@@ -149,12 +145,14 @@ def edge_band(inside: np.ndarray, reach: float) -> EdgeBand:
 
 
 def near_weights(
-    inside: np.ndarray, weights: np.ndarray, window: Window, some: EdgeBand, reach: float
+    inside: np.ndarray, weights: np.ndarray, window: Window, reach: float
 ) -> NearWeights:
-    """Return the weights of pixels `near` the edge of a window of a mask, less the farther they
-    are from it: none `reach` + 1 (px) away."""
-    W, chosen = inside.shape[1], some.distance < 1 + reach
-    row, column = np.divmod(some.place[chosen], window.W)
-    row, column = row + inside.shape[0] - window.bottom - window.H, column + window.left
-    value = weights[row, column] * near_an_edge(some.distance[chosen], reach)
-    return NearWeights((inside.shape[0], W), row * W + column, value)
+    """Return the weights of pixels near the edge of a mask, which lies in a window.
+
+    Less the farther they are from it: none `reach` + 1 (px) away.
+    """
+    some, (H, W) = edge_band(window.crop(inside), reach), inside.shape
+    row, column = np.divmod(some.place, window.W)
+    row, column = row + H - window.bottom - window.H, column + window.left
+    value = weights[row, column] * near_an_edge(some.distance, reach)
+    return NearWeights((H, W), row * W + column, value)

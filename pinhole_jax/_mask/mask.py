@@ -9,10 +9,10 @@ import numpy as np
 
 from .._camera.bent import bent
 from .._camera.camera import Camera, film_map, focal_px, principal_point
-from .edges import EdgeBand, NearWeights, alike, edge_band, near_weights
+from .edges import NearWeights, alike, near_weights
 from .kinds import Kind, kind_of
 from .signatures import Signature, signatures
-from .target import Window, as_coverage, inside_of, object_window
+from .target import as_coverage, inside_of, object_window
 
 
 @dataclass(frozen=True)
@@ -43,29 +43,11 @@ class Mask:
 
     def near_edge(self, reach: float) -> NearWeights:
         """Return the weights of pixels near the mask's edge; 0 farther than `reach` (px)."""
-        made, window = self._made, self._window
+        made = self._made
         if reach not in made:
-            some = self._near(reach)
-            made[reach] = near_weights(inside_of(self.target), self.weight, window, some, reach)
+            inside = inside_of(self.target)
+            made[reach] = near_weights(inside, self.weight, object_window(inside), reach)
         return made[reach]
-
-    def _near(self, reach: float) -> EdgeBand:
-        """Return the pixels of the object's window so near the edge, and perhaps others."""
-        widest, found = self._nearest[0] if self._nearest else (-1.0, None)
-        if found is None or widest < reach:
-            found = edge_band(self._window.crop(inside_of(self.target)), reach)
-            self._nearest[:] = [(reach, found)]
-        return found
-
-    @cached_property
-    def _window(self) -> Window:
-        """Return the window about what is more than half covered."""
-        return object_window(inside_of(self.target))
-
-    @cached_property
-    def _nearest(self) -> list[tuple[float, EdgeBand]]:
-        """Keep the pixels near the edge, and how near."""
-        return []
 
     @cached_property
     def _made(self) -> dict[float, NearWeights]:

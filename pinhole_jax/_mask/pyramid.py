@@ -181,35 +181,21 @@ class _Raster(NamedTuple):
         cls, image: _Image, weight: Weights, most: float, beyond: tuple[bool, bool]
     ) -> "_Raster":
         """The pages of an image; the top row or last column is perhaps `beyond` the window."""
-        H, W = image.values.shape
-        shown = _pages(image.values)
-        zero, one = _throughout(shown, image.one)
-        page = np.where(one, FULL, np.where(zero, EMPTY, -1))
+        shown, one = _pages(image.values), 1
+        zero, full = _throughout(shown, image.one)
+        page = np.where(full, FULL, np.where(zero, EMPTY, -1))
         if isinstance(weight, NearWeights):
-            weights, counts = _near_pages(weight, H, W)
-            page[:] = NOTHING
-            page[counts] = -1
+            (weights, none), full = _near_pages(weight), False
         elif alike(weight):
-            # A row's ends do not count.
-            ends = np.arange(H) * (W + 2)
-            last = [W] * beyond[1]
-            columns = np.array([0, W + 1, *last])
-            page[np.unique((ends[:, None] + columns) // PAGE)] = -1
-            page[H * (W + 2) // PAGE :] = -1
-            if beyond[0]:
-                page[ends[-1] // PAGE :] = -1
-            weights = None
+            weights = _pages(_without(np.ones(image.values.shape, np.uint8), beyond))
+            none, full = _throughout(weights, 1)
+            one = most
         else:
             weights = _pages(_without(weight, beyond))
-            none, all_ = _throughout(weights, most)
-            page = np.where(none, NOTHING, np.where(all_, page, -1))
+            none, full = _throughout(weights, most)
+        page = np.where(none, NOTHING, np.where(full, page, -1))
         own = np.flatnonzero(page == -1)
-        target = shown[own] / image.one
-        if weights is None:
-            return cls(page, target, _counted(own, (H, W), most, beyond))
-        if isinstance(weight, NearWeights):
-            return cls(page, target, weights)
-        return cls(page, target, weights[own])
+        return cls(page, shown[own] / image.one, weights[own] * one)
 
 
 def _pages(image: np.ndarray) -> np.ndarray:
@@ -240,28 +226,15 @@ def _without(weight: np.ndarray, beyond: tuple[bool, bool]) -> np.ndarray:
     return weight
 
 
-def _counted(
-    own: np.ndarray, shape: tuple[int, int], most: float, beyond: tuple[bool, bool]
-) -> np.ndarray:
-    """Return the weights (number, PAGE) of some pages where all pixels weigh as much."""
-    H, W = shape
-    row, column = np.divmod(own[:, None] * PAGE + np.arange(PAGE), W + 2)
-    inside = (column > 0) & (column <= W - int(beyond[1])) & (row < H - int(beyond[0]))
-    return np.where(inside, most, 0.0)
-
-
-def _near_pages(weight: NearWeights, H: int, W: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the weights (number, PAGE) of pages that count, and which these are."""
-    row, column = np.divmod(weight.place, W)
+def _near_pages(weight: NearWeights) -> tuple[np.ndarray, np.ndarray]:
+    """Return the weights (number, PAGE), and which pages have none."""
+    (H, W), (row, column) = weight.shape, np.divmod(weight.place, weight.shape[1])
     cell = (H - 1 - row) * (W + 2) + column + 1
-    flags = np.zeros(_cells((H, W)) // PAGE, bool)
-    flags[cell // PAGE] = True
-    counts = np.flatnonzero(flags)
-    number = np.zeros(len(flags), int)
-    number[counts] = np.arange(len(counts))
-    pages = np.zeros((len(counts), PAGE))
-    pages[number[cell // PAGE], cell % PAGE] = weight.value
-    return pages, counts
+    flat = np.zeros(_cells(weight.shape))  # (what is not written to takes no time)
+    flat[cell] = weight.value
+    none = np.ones(len(flat) // PAGE, bool)
+    none[cell // PAGE] = False
+    return flat.reshape(-1, PAGE), none
 
 
 def _written(rasters: list[_Raster], most: float, room: int, least: int, dtype: Any) -> Pyramid:
