@@ -196,6 +196,14 @@ def test_wrong_fields_of_every_format_are_named(tmp_path, file):
             formats.read(path)
 
 
+def test_binary_name_that_is_no_text_is_named(tmp_path):
+    formats.write(tmp_path, {"first": CAMERA}, "colmap-binary")
+    images = tmp_path / "images.bin"
+    images.write_bytes(images.read_bytes().replace(b"first", b"\xe0irst"))
+    with refusal(r"`NAME`: expected text, got bytes that are no UTF-8 \(.*, image 1\)"):
+        formats.read(tmp_path)
+
+
 def test_truncated_files_are_refused(tmp_path):
     for name in ("c.glb", "c.yaml"):
         formats.write(tmp_path / name, {"a": CAMERA})

@@ -219,11 +219,11 @@ def _lines(file: Path) -> Iterator[tuple[str, str]]:
             yield _decoded(raw, where).removeprefix("\ufeff"), where
 
 
-def _decoded(data: bytes, where: str) -> str:
+def _decoded(data: bytes, where: str, what: str = "") -> str:
     try:
         return data.decode()
     except UnicodeDecodeError:
-        raise ValueError(f"expected text, got bytes that are no UTF-8 ({where})") from None
+        raise ValueError(f"{what}expected text, got bytes that are no UTF-8 ({where})") from None
 
 
 def _check_points(line: str, where: str) -> None:
@@ -283,7 +283,7 @@ def _name(stream: BinaryIO, where: str) -> str:
         _take(stream, "c")
         raise ValueError(f"`NAME`: expected at most {MOST_NAME} bytes, got more ({where})")
     stream.seek(start + len(name) + 1)
-    return _decoded(name, where)
+    return _decoded(name, where, "`NAME`: ")
 
 
 def _intrinsics(camera: Camera) -> tuple:
