@@ -16,6 +16,8 @@ from .._solver.solver import Solver
 SMOOTH_PX = 2
 #: At most this many points stand for an edge (a mask of noise has millions).
 MOST_POINTS = 20_000
+#: How exactly points lie on an edge, and the nearest of an outline on that (px).
+EXACT_PX = 0.1
 #: A turn of the normal by a rad is as far as this many px, and normals face one another if the
 #: angle between them has at least this cosine.
 TURN_PX, FACES = 8.0, 0.5

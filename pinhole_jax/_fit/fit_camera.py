@@ -19,7 +19,7 @@ from .._mask.mask import Mask
 from .._mask.target import MOST_BORDER, border_of, check_target, inside_of, levelled
 from .._numerics.arrays import ArrayLike, Input, float_dtype, is_concrete
 from .._outline.outline_errors import OutlineErrors, is_drawn
-from .._outline.statistics import mask_errors
+from .._outline.statistics import is_explained, mask_errors
 from .._rules import RULES
 from .._scene.scene import Scene, check_scene
 from .._solver.looks import Sums
@@ -249,7 +249,8 @@ def _fit(
         free, near, edge = free_about(solver, ended[0], places), solver, None
     else:
         # 2. Refine each on the part of the mask's edge that it believes.
-        refiner = Refiner.on(solver, mask, reach, settings.differentiable)
+        computed = solver.kind.exact and is_explained(solver, places.best.view)
+        refiner = Refiner.on(solver, mask, reach, settings.differentiable or computed)
         alike = [places.best, *places.others]
         found = refiner.candidates([*alike, *places.rivals], start)
         best, *_ = kept = likeliest(found, min(len(alike), len(found)), start)

@@ -15,7 +15,7 @@ import numpy as np
 from .._mask.edges import NearWeights
 from .._outline.outline_errors import ErrorFit, Offsets, weigh
 from .._rules import RULES
-from .edge import Blocks, Edge, OutlinePoints, matched
+from .edge import EXACT_PX, Blocks, Edge, OutlinePoints, matched
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +104,8 @@ def account(
     pairs = matched(edge, outline)
     limit = edge.size / 2
     offset = blocks.mean(np.clip(pairs.off, -limit, limit))
-    found = _explained(edge, blocks, offset, blocks.mean(pairs.by_move), quantisation, roughly)
+    rounding = max(quantisation, EXACT_PX**2)
+    found = _explained(edge, blocks, offset, blocks.mean(pairs.by_move), rounding, roughly)
     if found is None:
         return None
     gross = found.gross[blocks.of]

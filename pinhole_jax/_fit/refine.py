@@ -167,19 +167,25 @@ class Refiner:
         return said.knowing(*self.solver.known(camera))
 
     def is_free(self, candidate: Candidate, free: Free) -> bool:
-        """Whether a camera that is as likely lies far away in a direction that squares call free,
-        to one side at least."""
+        """Whether cameras that are as likely lie far away in a direction that squares call free."""
+        strides = np.clip([free.ahead, -free.behind], -RULES.start, RULES.start)
+        return any(x != 0 and self._leads_away(candidate, x, free.move) for x in strides)
+
+    def _leads_away(self, candidate: Candidate, stride: float, move: np.ndarray) -> bool:
+        """Whether strides (rad) and a descent after each lead farther away than one of them, by
+        cameras that are as likely."""
         near, begin = candidate.near, candidate.found
-        least = candidate.log - RULES.times**2 / 2
-        ends = np.clip([free.ahead, -free.behind], -1, 1)
-        for far in (*ends / 2, *ends):
-            turned = begin._replace(camera=near.step(begin.camera, near.finest, far * free.move))
-            said = self.account(turned.camera)
-            ended = None if said is None else self._likelier(turned, said, -np.inf, [])
-            if ended is not None:
-                found, said = ended
-                if said.log >= least and angle(found.camera, begin.camera) > abs(far) / 2:
-                    return True
+        camera, least = begin.camera, candidate.log - RULES.times**2 / 2
+        for _ in range(RULES.followed):
+            camera = near.step(camera, near.finest, stride * move)
+            said = self.account(camera)
+            turned = begin._replace(camera=camera)
+            ended = None if said is None else self._likelier(turned, said, least, [])
+            if ended is None or ended[1].log < least:
+                return False
+            camera = ended[0].camera
+            if angle(camera, begin.camera) > abs(stride):
+                return True
         return False
 
     def is_hidden(self, candidate: Candidate) -> bool:
