@@ -131,15 +131,9 @@ def test_command_names_the_wrong_robot_argument(robot_files, capsys):
     for change, message in (
         ([*robot_files[:-1], *start], "`MASK`: expected one for each of 3 rows of 'joints.csv'"),
         ([*words, "--joint-zeros", "-1"], "`--joint-zeros`: expected a positive"),
-        (
-            [*words, "--joint-zeros", "1", "--in-hand", "arm"],
-            "`--joint-zeros`: expected none with `--in-hand`",
-        ),
+        ([*words, "--joint-zeros", "1", "--in-hand", "arm"], "expected none with `--in-hand`"),
         ([*words, "--propose", "short.json"], "`--propose`: expected 1 angles in row 1"),
-        (
-            [*words, "--free", "phi", "--propose", "joints.csv"],
-            "`--propose`: expected `pose` in --free",
-        ),
+        ([*words, "--free", "phi", "--propose", "joints.csv"], "expected `pose` in --free"),
         ([*words, "--refine"], "`--refine`: expected photos, --images"),
         ([*words, "--images", masks[0]], "`--images`: expected one for each of 3"),
         (

@@ -71,11 +71,6 @@ def test_overlay_draws_on_the_outline_and_nowhere_else(shape):
     assert changed.sum() > 3 * factor * union.boundary.length * 0.5
 
 
-def test_image_of_another_size_is_refused():
-    with pytest.raises(ValueError, match=r"`image`: expected the camera's size .* got \(9, 9\)"):
-        plot.overlay(np.zeros((9, 9), np.uint8), CAMERA, pj.Scene(mesh=shapes.bumpy(1)))
-
-
 # A square in the plane z = 0, seen from straight ahead at distance 5: f = 80 / (2 tan 0.3) px.
 SQUARE = pj.Scene(
     mesh=pj.Mesh([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], [[0, 1, 2], [0, 2, 3]])
