@@ -379,7 +379,7 @@ def chessboards(asked: Options) -> dict:
 
 PANDA = DATA / "robots" / "panda"
 HAND = ["panda_hand", "panda_leftfinger", "panda_rightfinger"]
-#: Halves are to differ by at most so many sigmas (rms).
+#: Halves are to differ by at most this many sigmas (rms).
 WIDE = 1.3
 #: What fits a half, and the halves.
 Split = tuple[Callable[[Any], Any], tuple[Any, Any]]

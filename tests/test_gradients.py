@@ -76,7 +76,7 @@ def test_frozen_leaves_cost_no_derivative(mesh):
         pytest.skip("there is no compiled library")
 
     def pushed(function, x):
-        """The sizes of what moves: of the film, the lens, the vertices and the spheres."""
+        """The sizes of the moving arrays: film, lens, vertices and spheres."""
         text = jax.jit(lambda x: jax.jvp(function, (x,), (x,))).lower(x).as_text()
         (taken,) = re.findall(r"@pinhole_image_push.* : \((.*)\) ->", text)
         return [x for x in re.findall(r"tensor<([\dx]*)xf64>", taken)[-4:] if x[0] != "0"]

@@ -59,8 +59,8 @@ KINDS = ["scales", "lattice", "plane", "twice", "slivers", "film-covering"]
 
 
 def differ(scene_of, vertices, origin, direction, ours):
-    """Return which hits arrays do not find: neither for these numbers nor, in 100 trials, for ones
-    that differ by as much as rounding of what the rays' origin sees."""
+    """Return the hits that arrays do not find: neither for these numbers nor, in 100 trials, for
+    ones that differ by rounding of the numbers seen from the rays' origin."""
     random, eps = np.random.default_rng(0), 16 * np.finfo(vertices.dtype).eps
     wrong = np.asarray(by_arrays(scene_of(vertices), origin[None], direction)) != ours
     seen = (vertices.astype(np.longdouble) - origin).astype(vertices.dtype)

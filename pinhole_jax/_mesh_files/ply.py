@@ -110,7 +110,7 @@ def _type(name: str, order: str | None) -> str:
 def _table(element: Element, body: bytes, start: int, order: str) -> tuple[dict[str, Lists], int]:
     """Return the columns of a table that begins at byte `start`, and the byte at its end.
 
-    Rows whose lists are as long as those of the row at hand are read at once: a run, looked for in
+    Rows whose lists are as long as those of the current row are read at once: a run, looked for in
     twice as many rows as the one before had, so that many short ones take no longer.
     """
     _, left, properties = element

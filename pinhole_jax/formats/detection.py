@@ -133,8 +133,8 @@ def detect(
     for group in _promising(scene, target, [*readings.values()]):
         camera = _camera(group[0])
         image = np.asarray(silhouette(camera, scene, overlaps=False), float)
-        words = zip(*((*reading.pose[0], *reading.view[0]) for reading in group), strict=True)
-        joined = (" or ".join(dict.fromkeys(column)) for column in words)
+        columns = zip(*((*reading.pose[0], *reading.view[0]) for reading in group), strict=True)
+        joined = (" or ".join(dict.fromkeys(column)) for column in columns)
         iou = _iou(image > 0.5 if is_hard else image, target)
         ranked.append((Hypothesis(iou, *joined, camera), image > 0.5))
     ranked.sort(key=lambda pair: -pair[0].iou)

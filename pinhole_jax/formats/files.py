@@ -52,7 +52,7 @@ FORMATS = {
 }
 ENDINGS = {ending: name for name, format in FORMATS.items() for ending in format.endings}
 COLMAP_FILES = ("cameras.txt", "images.txt", "cameras.bin", "images.bin")
-#: By which schemas or fields of JSON a format is told; the first that are all there.
+#: Schemas or fields of JSON that identify a format; the first that are all there.
 SCHEMAS = {
     BLENDER_SCHEMA: "blender",
     PYTORCH3D_SCHEMA: "pytorch3d",

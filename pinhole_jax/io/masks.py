@@ -38,7 +38,7 @@ HAZE, MOST_HAZE = "mask: its brightness", 16
 VOID = (255, 65535)
 #: Soft edges of a background mask reach this far (px) to both sides.
 BAND_PX = 2
-#: So many pixels are enough for a threshold.
+#: This many pixels are enough for a threshold.
 SAMPLE = 1 << 20
 
 
@@ -190,7 +190,7 @@ def _at_first_sight(image: Image) -> MaskReading:
 
 
 def _counts(grey: np.ndarray) -> np.ndarray:
-    """Return how many pixels have each of the values 0 to 255."""
+    """Return the number of pixels of each value, 0 to 255."""
     from PIL import Image as pillow
 
     return np.array(pillow.fromarray(grey).histogram())
