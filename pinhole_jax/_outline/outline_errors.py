@@ -6,11 +6,11 @@ of squares tells two cameras apart less well. The offset of the mask's outline f
 stretch by stretch, shows how large such errors are and how far they reach.
 
 The offsets y (px, outwards) at N stretches are taken as X t + b + g + q: the camera's own error t
-by the derivatives X, a bias b of the whole outline, errors g with covariance exp(-distance/length)
-but for a share that is each stretch's own, and quantisation q. What the camera absorbs does not
-show, so sizes and lengths are weighed by their restricted likelihood (Patterson and Thompson 1971:
-t and b integrated out), the hypothesis that the mask is computed (q alone) among them; a
-covariance is the mean of the hypotheses'.
+by the derivatives X, a bias b of the whole outline, errors g with covariance
+exp(-(distance/length)^power), rough or smooth, but for a share that is each stretch's own, and
+quantisation q. What the camera absorbs does not show, so sizes, lengths and shapes are weighed by
+their restricted likelihood (Patterson and Thompson 1971: t and b integrated out), the hypothesis
+that the mask is computed (q alone) among them; a covariance is the mean of the hypotheses'.
 """
 
 from typing import Any, NamedTuple
@@ -28,6 +28,9 @@ from .stretches import Stretches, stretches_of
 STRAIGHT = 2**0.5
 #: At least so much of an outline is within a pixel of the mask's.
 LEAST_RATE = 0.1
+#: Each stretch errs by itself by at least this share of the variance: where errors are smooth
+#: rounding would decide.
+NUGGET = 1e-6
 
 
 class OutlineErrors(NamedTuple):
@@ -102,7 +105,7 @@ def _weighed(stretches: Stretches, quantisation: float, odds: float) -> OutlineE
     mask is of being computed (by logarithmic `odds`)."""
     felt, offset = _felt(stretches.offset, stretches.share)
     model = _Model(stretches, quantisation, offset)
-    together = _hypotheses(model, RULES.lengths, RULES.own)
+    together = _hypotheses(model, RULES.lengths, RULES.rough)
     together.independent[0] = np.sum(stretches.length)
     logs = together.log_likelihood
     logs[0] += odds
@@ -121,16 +124,19 @@ def _weighed(stretches: Stretches, quantisation: float, odds: float) -> OutlineE
     )
 
 
-def _hypotheses(model: "_Model", lengths: tuple[float, ...], own: tuple[float, ...]) -> _Hypotheses:
-    """The hypotheses on a mask's errors: that it is computed, and all sizes, lengths, biases."""
+def _hypotheses(
+    model: "_Model", lengths: tuple[float, ...], shapes: tuple[tuple[float, float], ...]
+) -> _Hypotheses:
+    """The hypotheses on a mask's errors: that it is computed, and all sizes, biases, lengths and
+    shapes."""
     none, even = np.zeros(1), 0.5  # (computed or drawn: nothing speaks for one beforehand)
-    found = [model.hypotheses(0.0, none, none, none, np.full(1, even))]
+    found = [model.hypotheses(0.0, (1.0, 0.0), none, none, np.full(1, even))]
     times, px, likely = np.array(RULES.biases).T
-    each = even / (len(RULES.sizes) * len(lengths) * len(own))
-    sizes, shares, times = (x.ravel() for x in np.meshgrid(RULES.sizes, own, times, indexing="ij"))
-    bias = np.hypot(times * sizes, np.resize(px, sizes.shape))
-    prior = each * np.resize(likely, sizes.shape)
-    found += [model.hypotheses(length, sizes, shares, bias, prior) for length in lengths]
+    sizes, bias = np.repeat(RULES.sizes, len(px)), np.tile([times, px], len(RULES.sizes))
+    bias = np.hypot(bias[0] * sizes, bias[1])
+    several = [(length, shape) for length in lengths for shape in shapes]
+    prior = even * np.tile(likely, len(RULES.sizes)) / (len(RULES.sizes) * len(several))
+    found += [model.hypotheses(*one, sizes, bias, prior) for one in several]
     return _Hypotheses(*map(np.concatenate, zip(*found, strict=True)))
 
 
@@ -177,7 +183,8 @@ def weigh(offsets: Offsets, quantisation: float, roughly: bool = False) -> Error
 
     stretches = Stretches(*offsets, np.zeros(len(offsets.offset)), 0, 0)
     model = _Model(stretches, quantisation, stretches.offset)
-    grid = (RULES.lengths[1:2], RULES.own[:1]) if roughly else (RULES.lengths, RULES.own)
+    few = RULES.lengths[1:2], RULES.shapes[:1]
+    grid = few if roughly else (RULES.lengths, RULES.shapes)
     together = _hypotheses(model, *grid)
     logs = together.log_likelihood
     total: Any = logsumexp(logs)
@@ -211,22 +218,26 @@ class _Model:
     def hypotheses(
         self,
         length: float,
+        shape: tuple[float, float],
         size: np.ndarray,
-        own: np.ndarray,
         bias: np.ndarray,
         prior: np.ndarray,
     ) -> _Hypotheses:
-        """The hypotheses of errors of sizes (h,), over a length, with biases and own shares."""
-        correlation = np.exp(-self._distance / length) if length else np.eye(self.count)
-        far, near = size**2 * (1 - own), size**2 * own + self._quantisation
-        near = np.maximum(near, 1e-12 * far)
+        """The hypotheses of errors of sizes (h,), over a length, with biases: of a shape, the power
+        of the distance that they fall off by and the share that is each stretch's own."""
+        power, own = shape
+        correlation = np.eye(self.count)
+        if length:
+            correlation = np.exp(-((self._distance / length) ** power))
+        far = size**2 * (1 - own)
+        near = np.maximum(size**2 * own + self._quantisation, NUGGET * far)
 
         # (The same errors with another bias have the same covariance.)
-        (far_once, near_once), which = np.unique([far, near], axis=1, return_inverse=True)
-        own_errors = near_once[:, None, None] * np.eye(self.count)
-        covariance = far_once[:, None, None] * correlation + own_errors
-        white, log_determinant = _whitened(covariance, self._columns, near_once)
-        products = (white @ np.swapaxes(white, 1, 2))[which.ravel()]
+        _, once, which = np.unique(size, return_index=True, return_inverse=True)
+        own_errors = near[once, None, None] * np.eye(self.count)
+        covariance = far[once, None, None] * correlation + own_errors
+        white, log_determinant = _whitened(covariance, self._columns, near[once])
+        products = (white @ np.swapaxes(white, 1, 2))[which]
 
         # The camera's error and the bias integrated out: by their normal equations.
         inner, right, squares = products[:, :-1, :-1], products[:, :-1, -1], products[:, -1, -1]
@@ -240,7 +251,7 @@ class _Model:
         move, offset = moved[:, :-1] / self._scale, moved[:, -1]
         covariance = np.linalg.inv(inner)[:, :-1, :-1] / np.outer(self._scale, self._scale)
         left = squares - np.sum(right * np.linalg.solve(inner, right[..., None])[..., 0], axis=1)
-        logs = log_determinant[which.ravel()] + 2 * np.log(tight)
+        logs = log_determinant[which] + 2 * np.log(tight)
         logs += np.linalg.slogdet(inner)[1]
 
         pull = self._pull
