@@ -136,7 +136,7 @@ class Rules:
 
     @property
     def rough(self) -> tuple[tuple[float, float], ...]:
-        """The shapes of errors that stretches show: how areas are shared out among them is rough."""
+        """The shapes that stretches show: how areas are shared out among them is rough."""
         return tuple(shape for shape in self.shapes if shape[0] == 1)
 
     @property
