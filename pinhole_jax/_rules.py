@@ -137,7 +137,7 @@ class Rules:
     @property
     def rough(self) -> tuple[tuple[float, float], ...]:
         """The shapes that stretches show: how areas are shared out among them is rough."""
-        return tuple(shape for shape in self.shapes if shape[0] == 1)
+        return self.shapes[:-1]
 
     @property
     def stretch(self) -> float:
