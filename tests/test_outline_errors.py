@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._mask.mask import Mask
-from pinhole_jax._outline.outline_errors import is_drawn, outline_errors
+from pinhole_jax._outline.outline_errors import Offsets, is_drawn, outline_errors, weigh
 from pinhole_jax._outline.statistics import mask_errors
 from pinhole_jax._outline.stretches import stretches_of
 from pinhole_jax._solver.moves import canonical
@@ -192,3 +192,18 @@ def test_mask_that_is_grown_all_round_does_not_turn_the_camera(scene, image, px)
     assert fit.status == "converged"
     assert degrees(fit, single(CAMERA)) < min(0.5, 3 * np.rad2deg(np.linalg.norm(fit.std[:3])))
     assert degrees(pj.fit_camera(scene, grown, start, outlier_px=None), single(CAMERA)) > 1
+
+
+@pytest.mark.parametrize(("power", "length"), [(1, 16), (2, 40)])
+def test_ellipsoids_hold_for_errors_of_a_circle_that_are_rough_or_smooth(power, length):
+    """(The oracle: offsets drawn by their covariance's Cholesky factor; the right move is none.)"""
+    turn = 2 * np.pi * np.arange(60) / 60
+    at = 40 * np.column_stack([np.cos(turn), np.sin(turn)])
+    by_move = np.column_stack([f(k * turn) for k in (1, 2) for f in (np.cos, np.sin)])
+    distance = np.linalg.norm(at[:, None] - at, axis=-1)
+    root = np.linalg.cholesky(np.exp(-((distance / length) ** power)) + 1e-6 * np.eye(60))
+    random, held = np.random.default_rng(0), []
+    for _ in range(40):
+        fit = weigh(Offsets(at, np.full(60, 4.2), root @ random.normal(size=60), by_move), 1e-3)
+        held.append(fit.move @ np.linalg.solve(fit.covariance, fit.move) < 9.49)  # (95 % of four)
+    assert np.mean(held) > 0.85
