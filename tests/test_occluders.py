@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 from chosen import first, full
-from oracles import drawn, turned, usual_camera
+from oracles import drawn, single, turned, usual_camera
 from results import degrees
 from scipy.spatial.transform import Rotation
 
@@ -128,14 +128,11 @@ def test_view_closest_to_the_edge_wins():
     turned by 179 degrees explains nearly as much of the edge, 0.5 px off."""
     parts = [([1.6, 1.2, 0.15], [0, 0, 0]), ([0.15, 1.2, 0.9], [-0.72, 0, 0.5])]
     parts += [([0.9, 0.15, 0.5], [-0.3, 0.52, 0.3])]
-    plates = [trimesh.creation.box(size) for size, _ in parts]
-    for plate, (_, place) in zip(plates, parts, strict=True):
-        plate.apply_translation(place)
+    plates = [trimesh.creation.box(size).apply_translation(place) for size, place in parts]
     bracket: Any = trimesh.util.concatenate(plates)
-    scene = pj.Scene(mesh=pj.Mesh(np.asarray(bracket.vertices, np.float32), bracket.faces))
+    scene = single(pj.Scene(mesh=pj.Mesh(np.asarray(bracket.vertices), bracket.faces)))
     pose = [-0.3207, 4.8651, 5.4846], [0.0262, -0.0893, 0.0836], [0.5031, 0.6527, -0.5664]
-    e, p, u = (np.array(x, np.float32) for x in pose)
-    truth = pj.Camera(e, p, u, np.float32(0.6), 1.0, 256, 256)
+    truth = single(pj.Camera(*pose, 0.6, 1.0, 256, 256))
     row, column = np.mgrid[:256, :256]
     hidden = np.cos(3.0755) * row + np.sin(3.0755) * column < -136.52
     fit = pj.fit_camera(scene, (drawn(truth, scene) > 0.5) & ~hidden, None, phi=0.6)
