@@ -186,7 +186,7 @@ def stress(asked: Options) -> dict:
         except ValueError:  # what a float type rounds to no camera is refused
             return {"name": name, "kind": kind, "epsilons": 0.0}
         unit = view.unit * float(np.finfo(dtype).eps)
-        return {"name": name, "kind": kind, "stress": view.stress, "epsilons": error / unit}
+        return {"name": name, "kind": kind, "epsilons": error / unit}
 
     cases = [(name, kind) for name in asked.names(stress.CASES) for kind in stress.TYPES]
     rows = trials(asked, "stress", asked.number(100) * len(cases), cases, worst)

@@ -26,7 +26,7 @@ decimal.getcontext().prec = 60
 
 
 class View(NamedTuple):
-    """A scene of triangles, a camera, and how hard they are: the stress parameter."""
+    """A scene of triangles, and a camera."""
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -35,7 +35,6 @@ class View(NamedTuple):
     u: np.ndarray
     phi: float
     d: float
-    stress: float
     unit: float = 1.0  # epsilons that rounding a film point is worth, beside one of W x H
     size: tuple[int, int] = (W, H)
     radius: float = 0.0  # of a sphere about the first vertex, in place of the faces
@@ -57,14 +56,13 @@ def direction(random: np.random.Generator) -> np.ndarray:
     return x / np.linalg.norm(x)
 
 
-def usual(random: np.random.Generator, stress: float = 1.0, far: float = 0.0) -> View:
+def usual(random: np.random.Generator) -> View:
     """Return a view of a shape of size about 1 from some 3 to 6 sizes away."""
     vertices, faces = SHAPES[random.integers(len(SHAPES))]
     turned = vertices @ np.linalg.qr(random.normal(size=(3, 3)))[0]
     eye = direction(random) * random.uniform(3, 6)
     phi = 2 * np.arctan(random.uniform(0.9, 2) / np.linalg.norm(eye))
-    aim, up = 0.2 * random.normal(size=3), direction(random)
-    return View(turned + far, faces, eye + far, aim + far, up, phi, 1.0, stress)
+    return View(turned, faces, eye, 0.2 * random.normal(size=3), direction(random), phi, 1.0)
 
 
 def log_uniform(random: np.random.Generator, low: float, high: float) -> float:
@@ -73,7 +71,7 @@ def log_uniform(random: np.random.Generator, low: float, high: float) -> float:
 
 def any_size(random: np.random.Generator) -> View:
     s = log_uniform(random, 1e-30, 1e30)
-    v = usual(random, s)
+    v = usual(random)
     return v._replace(vertices=v.vertices * s, e=v.e * s, p=v.p * s, d=s)
 
 
@@ -81,13 +79,13 @@ def distance(random: np.random.Generator) -> View:
     """From 1e1 to 1e8 sizes away, with the field of view to match."""
     v, s = usual(random), log_uniform(random, 10, 1e8)
     eye = v.e * s / np.linalg.norm(v.e)
-    return v._replace(e=eye, phi=2 * np.arctan(random.uniform(0.9, 2) / s), stress=s)
+    return v._replace(e=eye, phi=2 * np.arctan(random.uniform(0.9, 2) / s))
 
 
 def offset(random: np.random.Generator) -> View:
     """The world's origin up to 1e6 sizes away, the camera near the object."""
     s = log_uniform(random, 1, 1e6)
-    v = usual(random, s)
+    v = usual(random)
     away = direction(random) * s
     return v._replace(vertices=v.vertices + away, e=v.e + away, p=v.p + away)
 
@@ -95,7 +93,7 @@ def offset(random: np.random.Generator) -> View:
 def in_a_large_scene(random: np.random.Generator) -> View:
     """A triangle of 1 to 1e6 sizes behind the eye, whose corners come first."""
     s = log_uniform(random, 1, 1e6)
-    v = usual(random, s)
+    v = usual(random)
     ahead = (v.p - v.e) / np.linalg.norm(v.p - v.e)
     side = np.cross(ahead, direction(random))
     behind = v.e - s * (ahead + np.array([-side, side, np.cross(ahead, side)]))
@@ -111,14 +109,14 @@ def close(random: np.random.Generator) -> View:
     eye = middle * (1 + s * random.choice([-1, 1]))
     return v._replace(
         vertices=vertices, faces=faces, e=eye, p=eye + direction(random),
-        phi=random.uniform(0.5, 2), stress=1 / s,
+        phi=random.uniform(0.5, 2),
     )  # fmt: skip
 
 
 def pole(random: np.random.Generator) -> View:
     """The up direction 1e-1 to 1e-12 rad off the view direction."""
     s = log_uniform(random, 1e-12, 1e-1)
-    v = usual(random, 1 / s)
+    v = usual(random)
     ahead = (v.p - v.e) / np.linalg.norm(v.p - v.e)
     return v._replace(u=ahead + s * np.cross(ahead, v.u) / np.linalg.norm(np.cross(ahead, v.u)))
 
@@ -126,25 +124,25 @@ def pole(random: np.random.Generator) -> View:
 def short_view(random: np.random.Generator) -> View:
     """The view point as near as 1e-12 to the eye."""
     s = log_uniform(random, 1e-12, 1)
-    v = usual(random, 1 / s)
+    v = usual(random)
     return v._replace(p=v.e + s * (v.p - v.e) / np.linalg.norm(v.p - v.e))
 
 
 def narrow(random: np.random.Generator) -> View:
     s = log_uniform(random, 1e-6, 1)
-    v = usual(random, 1 / s)
+    v = usual(random)
     eye = v.e / np.linalg.norm(v.e) / np.tan(s / 2) * random.uniform(1, 2)
     return v._replace(e=eye, p=v.p, phi=s)
 
 
 def wide(random: np.random.Generator) -> View:
     s = log_uniform(random, 1e-6, 1)
-    return usual(random, 1 / s)._replace(phi=np.pi - s)
+    return usual(random)._replace(phi=np.pi - s)
 
 
 def constant(random: np.random.Generator) -> View:
     s = log_uniform(random, 1e-12, 1e12)
-    return usual(random, s)._replace(d=s)
+    return usual(random)._replace(d=s)
 
 
 def inside(random: np.random.Generator) -> View:
@@ -183,13 +181,13 @@ def on_the_grid(random: np.random.Generator) -> View:
 def tiny_edges(random: np.random.Generator) -> View:
     """All edges shorter than a pixel, down to 1e-7 px."""
     v, s = usual(random), log_uniform(random, 1e-7, 1)
-    return v._replace(vertices=v.p + v.vertices * s / 20, stress=1 / s)
+    return v._replace(vertices=v.p + v.vertices * s / 20)
 
 
 def huge_edges(random: np.random.Generator) -> View:
     """A triangle with edges of up to 1e7 px, across the film."""
     s = log_uniform(random, 1, 1e6)
-    v = usual(random, s)
+    v = usual(random)
     ahead = (v.p - v.e) / np.linalg.norm(v.p - v.e)
     side = np.cross(ahead, direction(random))
     middle = v.p + 0.3 * random.normal(size=3)
@@ -201,7 +199,7 @@ def huge_edges(random: np.random.Generator) -> View:
 def slivers(random: np.random.Generator) -> View:
     """Triangles 1e-12 to 1e-1 wide, on their own."""
     s = log_uniform(random, 1e-12, 1e-1)
-    v = usual(random, 1 / s)
+    v = usual(random)
     a, b = random.uniform(-1, 1, (2, 10, 3))
     t = random.random((10, 1))
     c = a + t * (b - a) + s * random.normal(size=(10, 3))
@@ -222,7 +220,7 @@ def degenerate(random: np.random.Generator) -> View:
 def one_row(random: np.random.Generator) -> View:
     """1000 px in a row or in a column, the object across 1 to 1000 of them."""
     s = log_uniform(random, 1, 1000)
-    v, wide = usual(random, s), random.random() < 0.5
+    v, wide = usual(random), random.random() < 0.5
     angle = 2 * np.arctan(np.tan(v.phi / 2) / s) if wide else v.phi
     return v._replace(phi=angle, size=(1000, 1) if wide else (1, 1000), unit=1000 / min(W, H))
 
@@ -237,7 +235,7 @@ def sphere(random: np.random.Generator) -> View:
     aim = np.tan(tilt) * np.linalg.norm(eye) * aside / np.linalg.norm(aside)
     phi = 2 * np.arctan(np.tan(seen) * random.uniform(0.7, 2))
     faces = np.zeros((0, 3), int)
-    return View(np.zeros((1, 3)), faces, eye, aim, direction(random), phi, r, s, radius=r)
+    return View(np.zeros((1, 3)), faces, eye, aim, direction(random), phi, r, radius=r)
 
 
 CASES: dict[str, Callable[[np.random.Generator], View]] = {
