@@ -84,7 +84,7 @@ def test_targets_may_be_bool_uint8_or_float(scene):
 
 @pytest.mark.long
 def test_object_out_of_sight_or_all_over_the_film_is_no_success(scene):
-    behind = CAMERA.replace(p=CAMERA.e + np.array([0, 0, 4]))
+    behind = CAMERA.replace(p=CAMERA.e + np.array([0.0, 0, 4]))
     close = pj.Camera([0, 0, 2.2], [0, 0, 0], [0, 1, 0], 0.1, 1.0, 96, 80)
     assert pj.fit_camera(scene, drawn(CAMERA, scene), behind, "phi").status == "no_overlap"
     assert pj.fit_camera(scene, drawn(close, scene), close, "phi").status == "saturated"

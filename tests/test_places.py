@@ -1,14 +1,12 @@
 """Where else the camera may be: no fit says `converged` and is wrong."""
 
 import honesty
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
 from chosen import full
 from masks import wavy
-from oracles import drawn, turned, usual_camera
+from oracles import drawn, single, turned, usual_camera
 from results import degrees
 from scipy.ndimage import binary_erosion, gaussian_filter
 
@@ -62,18 +60,22 @@ def test_walk_leads_as_far_in_a_large_mask_as_in_a_small_one(monkeypatch):
 CAMERA = usual_camera()
 
 
+RING = trimesh.creation.torus(1.0, 0.35, major_sections=32, minor_sections=16)
+
+
+TORUS = pj.Scene(mesh=pj.Mesh(RING.vertices, RING.faces))
+
+
 @pytest.mark.parametrize("angle", [122, full(-75), full(40)])
 def test_nearly_round_body_is_found_from_all_round_its_axis(angle):
     """A ball with a dent: a turn about the dent shows facets alone, in valleys some degrees wide,
     and a hard mask of 800 px tells the right one from the others."""
-    mesh = trimesh.creation.icosphere(subdivisions=3)
-    dent = np.array([0.6, 0.64, 0.48])
-    off = np.linalg.norm(mesh.vertices - dent, axis=1)
-    vertices = mesh.vertices * (1 - 0.3 * np.exp(-((off / 0.35) ** 2)))[:, None]
-    scene = pj.Scene(mesh=pj.Mesh(np.asarray(vertices, np.float32), np.asarray(mesh.faces)))
-    side = np.cross(dent, [0, 0, 1]) / np.hypot(*dent[:2])
-    pose = [np.asarray(x, np.float32) for x in (5.5 * side + 0.5 * dent, np.zeros(3), dent)]
-    truth = pj.Camera(*pose, np.float32(0.6), 1.0, 800, 800)
+    ball, dent = trimesh.creation.icosphere(subdivisions=3), np.array([0.6, 0.64, 0.48])
+    off = np.linalg.norm(ball.vertices - dent, axis=1, keepdims=True)
+    vertices = ball.vertices * (1 - 0.3 * np.exp(-((off / 0.35) ** 2)))
+    scene = pj.Scene(mesh=pj.Mesh(vertices.astype(np.float32), ball.faces))
+    eye = 5.5 * np.array([0.8, -0.75, 0]) / np.hypot(0.8, 0.75) + 0.5 * dent
+    truth = single(pj.Camera(eye, np.zeros(3), dent, 0.6, 1.0, 800, 800))
     fit = pj.fit_camera(scene, drawn(truth, scene) > 0.5, turned(truth, dent, angle))
     assert degrees(fit, truth) < 0.3
 
@@ -104,42 +106,37 @@ def test_noisy_mask_of_a_box_is_as_ambiguous_as_an_exact_one():
 
 def test_faceted_body_fits_as_well_one_facet_on():
     """The start is nearer to a camera one facet on: the mask cannot tell."""
-    torus = trimesh.creation.torus(1.0, 0.35, major_sections=32, minor_sections=16)
-    scene = pj.Scene(mesh=pj.Mesh(torus.vertices, torus.faces))
-    mask = drawn(CAMERA, scene)
+    mask = drawn(CAMERA, TORUS)
     for target in (mask, mask > 0.5):
-        fit = pj.fit_camera(scene, target, turned(CAMERA, [0, 0, 1], 9))
+        fit = pj.fit_camera(TORUS, target, turned(CAMERA, [0, 0, 1], 9))
         assert fit.status in ("rank_deficient", "ambiguous")
         assert fit.modes or "rotation about the axis" in fit.weak[0]
 
 
-@pytest.mark.parametrize("kind", ["one bit", full("blurred"), full("eroded")])
-def test_contours_within_the_object_are_no_outline(kind):
-    torus = trimesh.creation.torus(1.0, 0.35, major_sections=32, minor_sections=16)
-    scene = pj.Scene(mesh=pj.Mesh(torus.vertices, torus.faces))
+@pytest.mark.parametrize(
+    "target",
+    [
+        lambda mask: mask > 0.5,
+        full(lambda mask: gaussian_filter(mask, 0.8)),
+        full(lambda mask: binary_erosion(mask > 0.5)),
+    ],
+    ids=["one bit", "blurred", "eroded"],
+)
+def test_contours_within_the_object_are_no_outline(target):
     camera = pj.Camera([3.0, 3.5, 2.0], [0.1, 0, 0], [0, 0, 1], 0.6, 1.0, 96, 80)
-    mask = drawn(camera, scene)
-    target = {
-        "one bit": mask > 0.5,
-        "blurred": gaussian_filter(mask, 0.8),
-        "eroded": binary_erosion(mask > 0.5),
-    }[kind]
-    fit = pj.fit_camera(scene, target, turned(camera, [1, 2, 3], 4))
+    fit = pj.fit_camera(TORUS, target(drawn(camera, TORUS)), turned(camera, [1, 2, 3], 4))
     assert not any("far from the mask's edge" in words for words in fit.weak)
 
 
 def test_sigma_does_not_fall_below_rounding():
     """Exact masks in float32: errors are a few standard errors at most."""
-    scene = pj.Scene(mesh=shapes.bumpy(3))
-    single = jax.tree.map(lambda x: x.astype(jnp.float32), CAMERA)
-    mask = drawn(single, pj.Scene(mesh=shapes.bumpy(3)))
-    errors = []
+    scene, camera = pj.Scene(mesh=shapes.bumpy(3)), single(CAMERA)
+    mask = drawn(camera, scene)
     for k, axis in enumerate(np.eye(3)):
-        start = turned(CAMERA, axis + 0.1, 8, 1 + 0.02 * k)
-        fit = pj.fit_camera(scene, mask, jax.tree.map(lambda x: x.astype(jnp.float32), start))
-        angle, shift = map(float, pj.pose_error(fit.camera, single))
-        errors += [angle / np.linalg.norm(fit.std[:3]), shift / np.linalg.norm(fit.std[3:])]
-    assert max(errors) < 4
+        start = single(turned(CAMERA, axis + 0.1, 8, 1 + 0.02 * k))
+        fit = pj.fit_camera(scene, mask, start)
+        sigma = [np.linalg.norm(fit.std[:3]), np.linalg.norm(fit.std[3:])]
+        assert np.all(np.divide(pj.pose_error(fit.camera, camera), sigma) < 4)
 
 
 def test_hard_mask_on_the_grid_leaves_a_sigma():
@@ -158,20 +155,18 @@ def test_nut_fits_as_well_one_side_on(sides, monkeypatch):
     """Neighbours of the start, none of them half a turn away; the same on any number of cores, on
     which looks and descents are worked out ahead."""
     nut = trimesh.creation.cylinder(radius=1, height=0.8, sections=sides)
-    scene = pj.Scene(mesh=pj.Mesh(np.asarray(nut.vertices, float), np.asarray(nut.faces)))
+    scene = pj.Scene(mesh=pj.Mesh(np.asarray(nut.vertices, float), nut.faces))
     camera = pj.Camera([0.5, 4.0, 3.0], [0, 0, 0], [0, 0, 1], 0.6, 1.0, 96, 80)
-    half = np.pi / sides
-    start = turned(camera, [0, 0, 1], np.rad2deg(0.8 * half))
+    start = turned(camera, [0, 0, 1], 0.8 * 180 / sides)
     for mask in (drawn(camera, scene), drawn(camera, scene) > 0.5):
-        monkeypatch.setattr(threads, "usable_cores", lambda: 1)
-        alone = pj.fit_camera(scene, mask, start)
-        monkeypatch.setattr(threads, "usable_cores", lambda: 3)
-        fit = pj.fit_camera(scene, mask, start)
-        assert fit.status == "ambiguous"
-        views = [[f.camera.e for f in (x, *x.modes)] for x in (fit, alone)]
+        views = []
+        for cores in (1, 3):
+            monkeypatch.setattr(threads, "usable_cores", lambda cores=cores: cores)
+            fit = pj.fit_camera(scene, mask, start)
+            assert fit.status == "ambiguous"
+            views.append([f.camera.e for f in (fit, *fit.modes)])
         np.testing.assert_array_equal(*views)
-        off = [pj.pose_error(f.camera, camera)[0] for f in (fit, *fit.modes)]
-        assert min(off) < 0.02
+        assert min(degrees(f, camera) for f in (fit, *fit.modes)) < 1
 
 
 @pytest.mark.full
@@ -180,15 +175,12 @@ def test_prior_and_start_decide_the_view_of_a_round_body():
     profile = np.array([[0.0, 0], [0.55, 0], [1, 0.17], [0.43, 0.35], [0.54, 0.95], [0, 0.9]])
     scene = pj.Scene(mesh=shapes.revolved(profile, sections=32))
     camera = pj.Camera([0, -3.1, 4.9], [0.1, 0, 0.3], [0, 0, 1], 0.5, 1.0, 96, 80)
-    start = turned(camera, [1, 0, 0], 7)
-    mask = drawn(camera, scene) > 0.5
-    fit = pj.fit_camera(scene, mask, start, prior={"e_x": (0.0, 1e-3)})
-    assert fit.status == "converged", fit
-    assert pj.pose_error(fit.camera, camera)[0] < 0.03
-    assert pj.fit_camera(scene, mask, start).status == "rank_deficient"
+    start, mask = turned(camera, [1, 0, 0], 7), drawn(camera, scene)
+    hard = mask > 0.5
+    assert pj.fit_camera(scene, hard, start).status == "rank_deficient"
     # A drawn mask is searched from all sides: the start says all the same which one it is.
-    for seed in (0, 1):
-        wavering = wavy(drawn(camera, scene), np.random.default_rng(seed), 0.7, 10.0)
-        fit = pj.fit_camera(scene, wavering, start, prior={"e_x": (0.0, 1e-3)})
-        assert fit.status in ("converged", "uncertain"), fit
-        assert pj.pose_error(fit.camera, camera)[0] < min(2 * np.max(fit.std[:3]), 0.1)
+    for target in (hard, *(wavy(mask, np.random.default_rng(k), 0.7, 10.0) for k in (0, 1))):
+        fit = pj.fit_camera(scene, target, start, prior={"e_x": (0.0, 1e-3)})
+        assert fit.status == "converged" or (fit.status == "uncertain" and target is not hard), fit
+        most = 0.03 if target is hard else min(2 * np.max(fit.std[:3]), 0.1)
+        assert pj.pose_error(fit.camera, camera)[0] < most
