@@ -85,7 +85,6 @@ BALL = pj.Spheres([[0.0, 0, 0]], [1.0])
 
 
 Y, Z = [0, 1, 0], [0, 0, 1]
-SIDE = {"u": [0, 1, 0], "phi": 0.9, "W": 3, "H": 3}
 #: Eye, view point, up, field of view; a mesh, spheres.
 VIEWS = {
     "ordinary": ([0.3, 1, 5], [0.1, 0, 0], Y, 0.9, SOLID, BALL),

@@ -27,21 +27,10 @@ def camera(e=EYE, W=24, H=18, lens=None):
     return pj.Camera(e, jnp.zeros(3), jnp.array([0.0, 1, 0]), 0.8, W=W, H=H, lens=lens)
 
 
-def soup(rng, number=12):
-    corners = rng.normal(size=(3 * number, 3))
-    return pj.Mesh(corners, np.arange(3 * number).reshape(-1, 3))
-
-
-def balls(rng, number=5):
-    return pj.Spheres(rng.normal(size=(number, 3)), rng.uniform(0.1, 0.6, number))
-
-
-SCENES = {
-    "closed": lambda rng: pj.Scene(mesh=pj.shapes.bumpy(1)),
-    "soup": lambda rng: pj.Scene(mesh=soup(rng)),
-    "spheres": lambda rng: pj.Scene(spheres=balls(rng)),
-    "both": lambda rng: pj.Scene(mesh=soup(rng), spheres=balls(rng)),
-}
+RANDOM = np.random.default_rng(3)
+SOUP = pj.Mesh(RANDOM.normal(size=(36, 3)), np.arange(36).reshape(-1, 3))
+BALLS = pj.Spheres(RANDOM.normal(size=(5, 3)), RANDOM.uniform(0.1, 0.6, 5))
+SCENES = {"closed": pj.Scene(mesh=pj.shapes.bumpy(1)), "both": pj.Scene(mesh=SOUP, spheres=BALLS)}
 
 
 def drawn(e, scene):
@@ -53,7 +42,7 @@ def drawn(e, scene):
 @pytest.mark.parametrize("kind", ["closed", "both"])
 def test_coverage_and_derivatives_are_those_by_arrays(kind, bends):
     """Forward and back, by the eye and by the scene."""
-    scene, random = SCENES[kind](np.random.default_rng(3)), np.random.default_rng(4)
+    scene, random = SCENES[kind], np.random.default_rng(4)
     lens = pj.Lens([12.5, 8.5], distortion=pj.BrownConrady(k1=-0.2, p1=0.01)) if bends else None
     moving, held = eqx.partition((EYE, scene), eqx.is_inexact_array)
     weights = jnp.asarray(random.normal(size=(18, 24)))
@@ -74,7 +63,7 @@ def test_coverage_and_derivatives_are_those_by_arrays(kind, bends):
 
 def test_batches_are_their_members():
     """Of images and gradients, a batch of batches."""
-    scene, random = SCENES["both"](np.random.default_rng(7)), np.random.default_rng(8)
+    scene, random = SCENES["both"], np.random.default_rng(8)
     eyes = EYE[None, None] + jnp.asarray(random.normal(size=(2, 2, 3))) * 0.1
     image, ones = partial(drawn, scene=scene), jnp.ones((18, 24))
     seen = lambda e: slopes.both_ways(image, e, jnp.ones(3), ones)
@@ -86,7 +75,7 @@ def test_batches_are_their_members():
 
 
 def test_second_derivative_is_refused():
-    loss = lambda e: jnp.sum(drawn(e, SCENES["closed"](None)) ** 2)
+    loss = lambda e: jnp.sum(drawn(e, SCENES["closed"]) ** 2)
     with pytest.raises(NotImplementedError, match="differentiated once"):
         jax.jit(jax.hessian(loss))(EYE)
 

@@ -4,6 +4,7 @@ All cases run in one process of four devices: this file itself.
 """
 
 import json
+import math
 import os
 import subprocess
 import sys
@@ -39,7 +40,7 @@ def main():
     import jax
     import jax.numpy as jnp
     import numpy as np
-    from jax.sharding import PartitionSpec as P
+    from jax.sharding import Mesh as Devices, PartitionSpec as P
     from slopes import both_ways
 
     import pinhole_jax as pj
@@ -94,7 +95,9 @@ def main():
     }
     found = {}
     for name, (inside, alone, wrap, x, specs, results) in cases.items():
-        devices = jax.make_mesh(CASES[name], ("d", "other")[: len(CASES[name])])
+        shape = CASES[name]
+        among = np.array(jax.devices()[: math.prod(shape)]).reshape(shape)
+        devices = Devices(among, ("d", "other")[: len(shape)])
         spread = jax.shard_map(inside, mesh=devices, in_specs=specs, out_specs=results)
         pairs = zip(*(jax.tree.leaves(jax.jit(wrap(f))(*x)) for f in (spread, alone)), strict=True)
         found[name] = max(float(jnp.max(abs(a - b)) / jnp.max(abs(b))) for a, b in pairs)
