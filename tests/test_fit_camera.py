@@ -86,8 +86,8 @@ def test_targets_may_be_bool_uint8_or_float(scene):
 def test_object_out_of_sight_or_all_over_the_film_is_no_success(scene):
     behind = CAMERA.replace(p=CAMERA.e + np.array([0.0, 0, 4]))
     close = pj.Camera([0, 0, 2.2], [0, 0, 0], [0, 1, 0], 0.1, 1.0, 96, 80)
-    assert pj.fit_camera(scene, drawn(CAMERA, scene), behind, "phi").status == "no_overlap"
-    assert pj.fit_camera(scene, drawn(close, scene), close, "phi").status == "saturated"
+    for start, status in ((behind, "no_overlap"), (close, "saturated")):
+        assert pj.fit_camera(scene, drawn(CAMERA, scene), start, "phi").status == status
     # The mask of something else: the best camera overlaps it by less than half.
     thin = np.abs(np.subtract(*np.indices((80, 96))) + 8) < 2
     fit = pj.fit_camera(scene, thin, CAMERA, "orientation")

@@ -41,7 +41,6 @@ def main():
     import jax.numpy as jnp
     import numpy as np
     from jax.sharding import Mesh as Devices, PartitionSpec as P
-    from slopes import both_ways
 
     import pinhole_jax as pj
 
@@ -61,7 +60,9 @@ def main():
         return pj.Scene(mesh=pj.Mesh(vertices, np.asarray(mesh.faces)), spheres=spheres)
 
     def derivatives(function, x):
-        return both_ways(function, x, jax.tree.map(jnp.ones_like, x), 1.0)
+        value, along = jax.linearize(function, x)
+        forward = along(jax.tree.map(jnp.ones_like, x))
+        return value, forward, jax.linear_transpose(along, x)(jnp.ones_like(value))
 
     def masks(e, vertices, centers, weight):
         image = lambda x: jnp.sum(weight * pj.silhouette(view(x[0]), scene_of(*x[1:])))

@@ -34,6 +34,13 @@ def test_focal_length_by_phi_and_by_d():
     np.testing.assert_allclose([by_d.phi, by_phi.phi], 2 * np.arctan(h / 6.0))
 
 
+def test_position_keeps_the_orientation_and_orientation_the_eye():
+    step = Move(CAMERA, PIVOT, jnp.ones(3)), jnp.array([0.1, 0.2, 0.3])
+    there, turned = (moved(*step, (name,)) for name in ("position", "orientation"))
+    np.testing.assert_allclose(camera_basis(there), camera_basis(CAMERA), atol=1e-14)
+    np.testing.assert_allclose(turned.e, CAMERA.e, atol=1e-14)
+
+
 @pytest.mark.long
 def test_units_move_the_outline_by_about_a_pixel():
     free = ("pose", "phi", "principal_point", "aspect")
