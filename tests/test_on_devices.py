@@ -4,7 +4,6 @@ All cases run in one process of four devices: this file itself.
 """
 
 import json
-import math
 import os
 import subprocess
 import sys
@@ -48,60 +47,71 @@ def main():
     random = np.random.default_rng(0)
     eyes = jnp.asarray(random.normal(size=(4, 3)) * 0.3 + [0, 0, 4])
     weights = jnp.asarray(random.uniform(size=(4, 10, 12)))
-    mesh, lens = pj.shapes.bumpy(0), pj.Lens([6.2, 4.9], 1.1, pj.Fisheye(0.05, -0.01))
+    lens = pj.Lens([6.2, 4.9], 1.1, pj.Fisheye(0.05, -0.01))
+    mesh, radii = pj.shapes.bumpy(0), jnp.array([0.5, 0.4])
     shapes = mesh.vertices + jnp.asarray(random.normal(size=(4, *mesh.vertices.shape)) * 0.02)
     centers = jnp.asarray(random.normal(size=(4, 2, 3)) * 0.5)
+    spread = lambda f, devices, given, results: jax.shard_map(
+        f, mesh=devices, in_specs=given, out_specs=results
+    )
 
-    def view(e, lens=lens):
+    def view(e, lens=None):
         return pj.Camera(e, jnp.zeros(3), jnp.array([0.0, 1, 0]), 0.7, 1.0, 12, 10, lens)
 
-    def scene_of(vertices, centers):
-        spheres = pj.Spheres(centers, jnp.array([0.5, 0.4]))
-        return pj.Scene(mesh=pj.Mesh(vertices, np.asarray(mesh.faces)), spheres=spheres)
+    def total(weight, camera, vertices, spheres=None):
+        scene = pj.Scene(mesh=pj.Mesh(vertices, np.asarray(mesh.faces)), spheres=spheres)
+        return jnp.sum(weight * pj.silhouette(camera, scene))
 
     def derivatives(function, x):
+        """The value, its derivative forward along all of `x`, and in reverse."""
         value, along = jax.linearize(function, x)
         forward = along(jax.tree.map(jnp.ones_like, x))
         return value, forward, jax.linear_transpose(along, x)(jnp.ones_like(value))
 
-    def masks(e, vertices, centers, weight):
-        image = lambda x: jnp.sum(weight * pj.silhouette(view(x[0]), scene_of(*x[1:])))
-        return derivatives(image, (e, vertices, centers))
+    def masks(x, weight):
+        loss = lambda x: total(weight, view(x[0], lens), x[1], pj.Spheres(x[2], radii))
+        return derivatives(loss, x)
 
-    def shared_mesh(vertices, eyes, weights):
-        """The loss over all eyes of one mesh."""
-        image = lambda e: pj.silhouette(view(e, None), scene_of(vertices, centers[0]))
-        return jnp.sum(weights * jax.vmap(image)(eyes))
-
-    def hits(e, vertices, centers, weight):
+    def hits(e, weight):
         """Of closest and any hits, of a camera's rays and of any."""
-        scene = scene_of(vertices, centers)
-        near = lambda e: jnp.sum(weight / pj.trace(scene, pj.camera_rays(view(e))).t)
+        scene = pj.Scene(mesh=mesh, spheres=pj.Spheres(centers[0], radii))
+
+        def far(e):
+            there = pj.trace(scene, pj.camera_rays(view(e, lens))).t
+            return jnp.sum(weight * jnp.where(jnp.isfinite(there), there, 0))
+
         blocked = pj.occluded(scene, pj.camera_rays(view(e))).astype(float)
-        return (
-            blocked,
-            pj.normals(view(e), scene),
-            1 / pj.depth(view(e), scene),
-            derivatives(near, e),
+        images = pj.normals(view(e), scene), 1 / pj.depth(view(e), scene)
+        return blocked, images, derivatives(far, e)
+
+    def by_device(function, x):
+        batch = jax.vmap(function)
+        return lambda devices: (
+            spread(batch, devices, P("d"), P("d"))(x, weights),
+            batch(x, weights),
         )
 
-    given, every, same = (eyes, shapes, centers, weights), P("d"), lambda function: function
-    summed = lambda *x: jax.lax.psum(shared_mesh(*x), "d")
-    meshes = (mesh.vertices, eyes, weights), (P(), every, every), P()
-    cases = {
-        "masks": (jax.vmap(masks), jax.vmap(masks), same, given, every, every),
-        "hits": (jax.vmap(hits), jax.vmap(hits), same, given, every, every),
-        # The derivative by vertices that all devices share is the sum over these.
-        "shared mesh": (summed, shared_mesh, jax.value_and_grad, *meshes),
-    }
+    def shared_mesh(devices):
+        """The derivative by vertices that all devices share is the sum over these."""
+        loss = lambda vertices, eyes, weights: jnp.sum(
+            jax.vmap(lambda e, weight: total(weight, view(e), vertices))(eyes, weights)
+        )
+        given, specs = (mesh.vertices, eyes, weights), (P(), P("d"), P("d"))
+        summed = spread(lambda *x: jax.lax.psum(loss(*x), "d"), devices, specs, P())
+        inside = spread(jax.grad(loss), devices, specs, P())(*given)
+        value, slope = jax.value_and_grad(loss)(*given)
+        return (*jax.value_and_grad(summed)(*given), inside), (value, slope, slope)
+
+    def error(got, wanted):
+        leaves = zip(jax.tree.leaves(got), jax.tree.leaves(wanted), strict=True)
+        return max(float(jnp.max(jnp.abs(a - b)) / jnp.max(jnp.abs(b))) for a, b in leaves)
+
     found = {}
-    for name, (inside, alone, wrap, x, specs, results) in cases.items():
-        shape = CASES[name]
-        among = np.array(jax.devices()[: math.prod(shape)]).reshape(shape)
+    runs = by_device(masks, (eyes, shapes, centers)), shared_mesh, by_device(hits, eyes)
+    for (name, shape), run in zip(CASES.items(), runs, strict=True):
+        among = np.array(jax.devices()[: int(np.prod(shape))]).reshape(shape)
         devices = Devices(among, ("d", "other")[: len(shape)])
-        spread = jax.shard_map(inside, mesh=devices, in_specs=specs, out_specs=results)
-        pairs = zip(*(jax.tree.leaves(jax.jit(wrap(f))(*x)) for f in (spread, alone)), strict=True)
-        found[name] = max(float(jnp.max(abs(a - b)) / jnp.max(abs(b))) for a, b in pairs)
+        found[name] = error(*jax.jit(lambda run=run, devices=devices: run(devices))())
     print(json.dumps(found))
 
 
