@@ -54,7 +54,8 @@ MODELS = {
          "distortion_model: radtan", "camera_model: radial-tangential", "camera_model: pinhole",
          "distortion_model: rational_polynomial", "model_type: PINHOLE", "distance: 3",
          "undistorted: true", "undistorted: 1", "distorted: 0", "is_distorted: 1",
-         "distribution: x", "distinct: 3", "D: ~", "D:", "D: null", "fisheye_model: ~",
+         "distribution: x", "distinct: 3", "12: [ 1, 2 ]", "D: ~", "D:", "D: null",
+         "fisheye_model: ~",
          "lens: Kowa 8mm",
          "type: stereo", "max_dist: 3.5", "k3: 0", "cam_dist: [ 0, 0 ]", "step_1: 3",
          "RGBD: [ 1, 2 ]",
@@ -75,14 +76,12 @@ def test_lens_model_is_the_one_that_a_calibration_names(tmp_path, line):
     ["dist", "dist_coeff", "dist_coeffs", "distCoeffs", "DistCoeff", "distCoef", "D", "distortion",
      "distortion_coefficients", "distortion_coeffs", "distortion_parameters"],
 )  # fmt: skip
-@pytest.mark.parametrize("nested", [False, True])
-def test_coefficients_have_many_names(tmp_path, name, nested):
-    value = [BENT.tolist()] if nested else BENT.tolist()
-    if nested and name == "distortion":
-        value = dict(zip(("k1", "k2", "p1", "p2"), BENT.tolist(), strict=True))
-    tail = f"rvec: {TURN[:, None].tolist()}\ntvec: {SHIFT[:, None].tolist()}\n" if nested else TAIL
-    (tmp_path / "c.yaml").write_text(f"%YAML:1.0\n---\n{HEAD}{MATRIX}{name}: {value}\n{tail}")
-    check_sees_as_opencv(tmp_path / "c.yaml", BROWN)
+def test_coefficients_have_many_names_and_forms(tmp_path, name):
+    named = dict(zip(("k1", "k2", "p1", "p2"), BENT.tolist(), strict=True))
+    tail = f"rvec: {TURN[:, None].tolist()}\ntvec: {SHIFT[:, None].tolist()}\n"
+    for value in (BENT.tolist(), BENT[None].tolist(), named):
+        (tmp_path / "c.yaml").write_text(f"%YAML:1.0\n---\n{HEAD}{MATRIX}{name}: {value}\n{tail}")
+        check_sees_as_opencv(tmp_path / "c.yaml", BROWN)
 
 
 REFUSED = {
@@ -218,11 +217,3 @@ def test_frames_intrinsics_come_before_the_files(tmp_path, frame, wanted):
     assert_allclose(np.diag(camera.K)[:2], (fx, fy), rtol=1e-12)
     assert type(lens).__name__ == model
     assert (float(lens.k1), p1 and float(lens.p1)) == (k1, p1)
-
-
-def test_field_whose_name_is_a_number_is_passed_over(tmp_path):
-    path = tmp_path / "camera.yaml"
-    camera = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
-    formats.write(path, {"camera": camera})
-    path.write_text(path.read_text() + "12: [1, 2]\n")
-    assert formats.read_one(path).W == 96

@@ -114,33 +114,6 @@ def test_m3t_renderer_has_integer_centres(shared):
     assert next_best.iou < 0.99
 
 
-@pytest.mark.long
-def test_pytorch3d_cow_has_its_published_convention(shared):
-    """From what its own test says: look_at_view_transform(3, 10, 4), 60 degrees, 256 x 256."""
-    folder = shared / "renders" / "pytorch3d_cow"
-    mask = np.any(io.load_image(folder / "cow.png")[..., :3] < 255, axis=-1)
-    scene = pj.Scene(mesh=pj.load_mesh(folder / "cow.obj"))
-    (up, ahead), (aside, along) = ((np.sin(x), np.cos(x)) for x in np.deg2rad([10, 4]))
-    eye = 3 * np.array([ahead * aside, up, ahead * along])
-    left = np.array([-along, 0, aside])
-    world_to_view = np.eye(4)  # as get_world_to_view_transform().get_matrix() gives it
-    world_to_view[:3, :3] = np.stack([left, np.cross(-eye / 3, left), -eye / 3], axis=1)
-    world_to_view[3, :3] = -eye @ world_to_view[:3, :3]
-    found = formats.detect(scene, mask, world_to_view, fov=np.pi / 3)
-    assert found.certain
-    assert found.sentence.startswith(
-        "x left, y up, z forward (PyTorch3D, Mitsuba); camera_from_world, row vectors; pixel"
-        " centres at half, vertical or horizontal field of view: IoU "
-    )
-    assert found.hypotheses[0].iou > 0.999
-    given = json.loads((folder / "camera.json").read_text())
-    found = formats.detect(scene, mask, np.c_[given["R"], given["t"]], K=given["K"])
-    assert found.certain
-    best = found.hypotheses[0]
-    assert ("OpenCV" in best.axes, best.pixel_centres) == (True, "integer")
-    assert best.iou > 0.999
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [

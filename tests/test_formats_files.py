@@ -3,7 +3,6 @@
 import re
 import struct
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -318,17 +317,14 @@ def test_unreadable_paths_are_refused_by_name(tmp_path, name, data, format, mess
 
 
 def test_size_is_for_files_without_one(tmp_path):
-    nerf = f'{{"camera_angle_x": 1, "frames": [{FRAME}]}}'
     for name, text in {
-        "transforms.json": nerf,
+        "transforms.json": f'{{"camera_angle_x": 1, "frames": [{FRAME}]}}',
         "p.json": RIGHT["p3d.json"].replace("image_size", "x"),
         "s.xml": re.sub("(?s)<film.*</film>", "", SENSOR),
     }.items():
         (tmp_path / name).write_text(text)
         (camera,) = formats.read(tmp_path / name, size=(20, 11)).values()
         assert (camera.W, camera.H) == (20, 11)
-    (camera,) = formats.read(tmp_path / "transforms.json", size=(20, 11)).values()
-    assert_allclose(np.tan(camera.phi / 2), np.tan(0.5) * 11 / 20, rtol=1e-12)
     for name in ("a.yaml", "own.json", "folder", "transforms_b.json", "pytorch3d.json"):
         formats.write(tmp_path / name, {"a": CAMERA})
         assert list(formats.read(tmp_path / name, size=(40, 31))) == ["a"]
@@ -353,13 +349,10 @@ def test_files_are_never_half_written(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"R": 2 * np.eye(3)}, r"`R`: expected a rotation .* \(in the arguments\)"),
         ({"R": "x"}, r"`R`: expected finite numbers of shape \(3, 3\), got 'x'"),
         ({"image_size": (6.5, 8)}, "`H`: expected an integer of at least 1, got 6.5"),
         ({"fov": 1.0}, "expected `focal_length` or `fov`, got both or neither"),
         ({"focal_length": [1, 2, 3]}, "`focal_length`: expected one number or two"),
-        ({"focal_length": None, "fov": 60}, r"`fov`: expected an angle in \(0, pi\) rad, got 60"),
-        ({"principal_point": [1]}, r"`principal_point`: expected finite numbers of shape \(2,\)"),
     ],
 )
 def test_wrong_pytorch3d_arguments(change, message):
@@ -392,9 +385,7 @@ def test_crops_and_resizes_are_those_of_images():
     for camera, film in (
         (crop(bent, 5, 3, 40, 30), seen(bent) - [5, 3]),
         (resize(bent, bent.W // 2, bent.H // 4), seen(bent) * [0.5, 0.25]),
-        (crop(LENS, 7, -3, 11, 44), seen(LENS) - [7, -3]),
         (crop(CAMERA, 0.25, 1.5, 9, 9), seen(CAMERA) - [0.25, 1.5]),
-        (resize(LENS, 45, 10), seen(LENS) * [45 / 30, 10 / 25]),
         (crop(crop(LENS, 7, -3, 11, 44), -7, 3, LENS.W, LENS.H), seen(LENS)),
         (resize(crop(CAMERA, 4, 2, 20, 10), 40, 20), 2 * (seen(CAMERA) - [4, 2])),
     ):
@@ -403,36 +394,22 @@ def test_crops_and_resizes_are_those_of_images():
     assert resize(CAMERA, 80, 62).lens is None
 
 
-def test_crops_and_resizes_differentiate():
-    def moved(phi):
-        camera = pj.Camera(CAMERA.e, CAMERA.p, CAMERA.u, phi, 1.0, 40, 31)
-        camera = formats.resized(formats.cropped(camera, 4, 2, 20, 10), 30, 40)
-        return jnp.sum(pj.project(camera, POINTS))
-
-    slope, h = jax.grad(moved)(0.7), 1e-5
-    assert_allclose(slope, (moved(0.7 + h) - moved(0.7 - h)) / (2 * h), rtol=1e-7)
-
-
-@pytest.mark.parametrize("W", [0, 2.5])
-def test_bad_windows_are_refused(W):
+def test_bad_windows_are_refused():
     with refusal("`left`: expected finite values"):
         formats.cropped(CAMERA, np.nan, 0, 5, 5)
     with refusal("`W`: expected an integer of at least 1"):
-        formats.cropped(CAMERA, 0, 0, W, 5)
-    with refusal("`W`: expected an integer of at least 1"):
-        formats.resized(CAMERA, W, 5)
+        formats.resized(CAMERA, 2.5, 5)
 
 
 def test_camera_is_read_by_name(tmp_path):
-    camera = lambda y: pj.Camera([0, y, 5], [0, 0, 0], [0, 1, 0], 0.6, 1, 8, 6)
-    formats.write(tmp_path / "two.json", {"a": camera(0), "b": camera(1)})
-    formats.write(tmp_path / "one.json", {"a": camera(0)})
-    assert float(formats.read_one(f"{tmp_path}/two.json:b").e[1]) == 1
-    assert float(formats.read_one(tmp_path / "one.json").e[1]) == 0
-    assert float(formats.read_one(f"{tmp_path}/one.json:a", size=(9, 9)).e[1]) == 0
-    with refusal(r"expected one camera, or FILE:NAME .* got 2 cameras"):
-        formats.read_one(tmp_path / "two.json")
-    with refusal(r"`path`: expected one .* among .*, got 'c'"):
-        formats.read_one(f"{tmp_path}/two.json:c")
-    with pytest.raises(FileNotFoundError):
-        formats.read_one(tmp_path / "no.json")
+    path = tmp_path / "two.json"
+    formats.write(path, {"a": CAMERA, "b": LENS})
+    assert formats.read_one(f"{path}:b", size=(9, 9)).W == LENS.W
+    for asked, message in (
+        (path, r"expected one camera, or FILE:NAME .* got 2 cameras"),
+        (f"{path}:c", r"`path`: expected one .* among .*, got 'c'"),
+    ):
+        with refusal(message):
+            formats.read_one(asked)
+    formats.write(path, {"a": CAMERA})
+    assert formats.read_one(path).W == CAMERA.W

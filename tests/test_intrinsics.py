@@ -5,7 +5,6 @@ import json
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from oracles import usual_camera
 from refusals import refusal
 
 import pinhole_jax as pj
@@ -123,15 +122,3 @@ def test_file_without_intrinsics_is_refused(name, text, words, tmp_path):
     (tmp_path / name).write_text(text)
     with refusal(words):
         read_intrinsics(tmp_path / name, size=(640, 480))
-
-
-def test_matrices_of_a_camera_project_as_it_does():
-    camera = usual_camera()
-    camera = camera.replace(lens=pj.Lens([40.0, 42.0], 1.1, pj.BrownConrady(*BENT)))
-    points = np.random.default_rng(0).uniform(-1, 1, (20, 3))
-    turn = cv2.Rodrigues(np.asarray(camera.R, float))[0]
-    bent = np.array([*camera.distortion.coefficients().values()], float)
-    given = turn, np.asarray(camera.t, float), np.asarray(camera.K, float), bent
-    seen = cv2.projectPoints(points[:, None], *given)[0][:, 0]
-    film = np.asarray(pj.project(camera, points))
-    assert_allclose(film, np.c_[seen[:, 0] + 0.5, 79.5 - seen[:, 1]], atol=1e-9)

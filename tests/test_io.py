@@ -1,5 +1,6 @@
 import json
 
+import equinox as eqx
 import jax
 import numpy as np
 import pytest
@@ -16,19 +17,11 @@ BOX = trimesh.creation.box()
 CAMERA = pj.Camera([1.0, 2, 5], [0.1, 0, 0], [0.3, 1, 0.2], 0.7, 2.0, 30, 20)
 
 
-@pytest.mark.parametrize("ending", ["obj", "ply", "stl", "off", "glb"])
-def test_formats_give_the_same_closed_mesh(tmp_path, ending):
-    path = tmp_path / f"box.{ending}"
-    BOX.export(path)
-    mesh = pj.load_mesh(path)
+def test_faces_of_a_file_share_edges(tmp_path):
+    BOX.export(tmp_path / "box.stl")  # which repeats each corner
+    mesh = pj.load_mesh(tmp_path / "box.stl")
     assert mesh.closed
-    assert (mesh.vertices.shape, mesh.faces.shape, mesh.edge_vertices.shape) == (
-        (8, 3),
-        (12, 3),
-        (18, 2),
-    )
-    assert_allclose(np.ptp(np.asarray(mesh.vertices), axis=0), 1)
-    assert trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume > 0.999
+    assert [len(x) for x in (mesh.vertices, mesh.faces, mesh.edge_vertices)] == [8, 12, 18]
 
 
 def test_vertices_rounded_coarsely_are_reported(tmp_path):
@@ -67,14 +60,10 @@ def test_real_meshes_load(shared):
 
 @pytest.mark.parametrize("lens", [None, pj.Lens([14.0, 11.0], 1.1)])
 def test_cameras_go_to_files_and_back(tmp_path, lens):
-    camera = pj.Camera(CAMERA.e, CAMERA.p, CAMERA.u, 0.7, 2.0, 30, 20, lens)
-    io.save_camera(tmp_path / "deep" / "camera.json", camera, note="kept")
-    back = io.load_camera(tmp_path / "deep" / "camera.json")
-    for name in ("e", "p", "u", "phi", "d"):
-        assert_array_equal(getattr(back, name), getattr(camera, name))
-    assert (back.W, back.H) == (30, 20)
-    assert (back.lens is None) == (lens is None)
-    data = json.loads((tmp_path / "deep" / "camera.json").read_text())
+    camera, path = CAMERA.replace(lens=lens), tmp_path / "deep" / "camera.json"
+    io.save_camera(path, camera, note="kept")
+    assert eqx.tree_equal(io.load_camera(path), camera)
+    data = json.loads(path.read_text())
     assert data["note"] == "kept"
     assert_allclose(np.linalg.det([data["pose"][k] for k in ("right", "up", "forward")]), -1)
 
@@ -223,10 +212,9 @@ def test_text_and_json_are_written_whole_and_read_back(tmp_path):
     assert io.load_json(path) == {"a": [1, 2]}
 
 
-def test_picture_of_any_kind_is_read_as_rgb(tmp_path):
-    for shape in ((4, 5), (4, 5, 3), (4, 5, 4)):
-        image = np.random.default_rng(0).integers(0, 255, shape).astype(np.uint8)
-        io.save_image(tmp_path / "image.png", image)
-        rgb = io.load_image(tmp_path / "image.png", rgb=True)
-        expected = image[..., :3] if image.ndim == 3 else np.stack([image] * 3, axis=-1)
-        assert_array_equal(rgb, expected)
+@pytest.mark.parametrize("channels", [(), (3,), (4,)])
+def test_picture_of_any_kind_is_read_as_rgb(tmp_path, channels):
+    image = np.random.default_rng(0).integers(0, 255, (4, 5, *channels), np.uint8)
+    io.save_image(tmp_path / "image.png", image)
+    expected = image[..., :3] if channels else np.stack([image] * 3, axis=-1)
+    assert_array_equal(io.load_image(tmp_path / "image.png", rgb=True), expected)

@@ -164,7 +164,6 @@ REFUSED = {
     "four levels": (RAMP // 64, f"{FLAT} 0, 1, 2, 3; .* `mask_from` label=1 "),
     "dark": (two(7, 0), "no lighter than 7 of 255; labels?"),
     "no alpha": (RAMP, "expected a mask, .* no transparency", {"way": "alpha"}),
-    "no such label": (LEVELS, "no pixel with the label 7; there are 0, 1, 2", {"way": "label=7"}),
     "label of colours": (RED_GREEN, "mode RGB: labels are grey values", {"way": "label=1"}),
     "one colour": (BLACK, "a picture of one colour", {"way": "background=black"}),
     "black and white object": (channels(CHEQUER, HARD), EITHER),
@@ -174,7 +173,6 @@ REFUSED = {
     "clear everywhere": (channels(SOFT, BLACK), "transparent everywhere; .* luminance"),
     "grey palette": (palette(TWO, np.outer([0, 255, 90], 3 * [1])), f"{FLAT} 0, 1, 2; .* label=1 "),
     "clear background": (TWO, f"{FLAT} 1, 2; .* label=1 ", {"how": CLEAR_0}),
-    "clear entry": (palette(TWO, np.eye(3) * 90), f"{FLAT} 1, 2; .* label=1 ", {"how": CLEAR_0}),
     "clear 16 bits": (
         TWO + np.uint16(26000), f"{FLAT} 26001, 26002; ", {"how": {"transparency": 26000}}
     ),
@@ -213,24 +211,15 @@ def test_pictures_that_are_no_masks_are_refused_with_the_ways_to_read_them(tmp_p
 @pytest.mark.parametrize("where", ["beside", "ring"])
 @pytest.mark.parametrize(
     ("dtype", "first", "second"),
-    [
-        (np.uint8, 1, 2),
-        (np.uint8, 1, 255),
-        (np.uint8, 128, 255),
-        (np.uint16, 1, 1000),
-        (np.uint16, 300, 65535),
-        (np.int32, 1, -1),
-        (np.float32, 1, 2),
-        (np.int32, 70000, 70001),
-    ],
-)
+    [(np.uint8, 1, 2), (np.uint8, 1, 255), (np.uint16, 300, 65535), (np.int32, 1, -1),
+     (np.float32, 1, 2), (np.int32, 70000, 70009)],
+)  # fmt: skip
 def test_labels_of_any_depth_are_refused_and_listed(tmp_path, dtype, first, second, where):
-    if where == "ring" and first > 9 and second - first == 1:
-        pytest.skip("the same but for an edge")
     labels = labelled(first, second, dtype, where)
     listed = ", ".join(map(str, sorted({0, first, second})))
-    hint = rf"`mask_from` label={first} \(--mask-from label={first}\)"
-    with refusal(rf"the values {listed}\b.*{hint}"):
+    with refusal(
+        rf"the values {listed}\b.*`mask_from` label={first} \(--mask-from label={first}\)"
+    ):
         load(tmp_path, labels, ending="tiff")
     mask, said = load(tmp_path, labels, f"label={first}", ending="tiff")
     assert_array_equal(mask > 0, labels == first)
@@ -261,12 +250,10 @@ def test_inverted_silhouette_is_refused_and_can_be_turned(tmp_path, silhouette, 
     assert_array_equal(load(tmp_path, image, way, invert=True)[0], mask)
 
 
-@pytest.mark.parametrize(("share", "right", "top"), [(0.4, 66, H), (0.6, 30, H), (0.85, 26, 27)])
-def test_object_cut_off_by_the_frame_is_accepted(tmp_path, share, right, top):
-    mask = np.full((H, W), 255, np.uint8)
+@pytest.mark.parametrize(("right", "top"), [(66, H), (30, H), (26, 27)])
+def test_object_cut_off_by_the_frame_is_accepted(tmp_path, right, top):
+    mask = WHITE.copy()  # on 40, 60 and 85 % of the border
     mask[:top, W - right :] = 0
-    border = np.concatenate([mask[0], mask[-1], mask[1:-1, 0], mask[1:-1, -1]])
-    assert abs(np.mean(border > 127) - share) < 0.02
     assert_array_equal(load(tmp_path, mask)[0], mask)
 
 
@@ -277,44 +264,33 @@ SMOOTH = 150 + 60 * np.dstack(
 
 
 @pytest.mark.parametrize("softness", [1, 2, 3])
-@pytest.mark.parametrize(
-    ("kind", "back"),
-    [("two hues", 0), ("two hues", 255), ("smooth", 0), ("smooth", 255), ("noise", 0), ("grey", 0)],
-)
+@pytest.mark.parametrize("back", [0, 255])
+@pytest.mark.parametrize("kind", ["two hues", "smooth"])
 def test_many_colours_that_fade_to_the_background_are_refused(tmp_path, kind, softness, back):
-    colours = {
-        "two hues": 255 * np.dstack([SMOOTH_X < 50, 0 * SMOOTH_X, SMOOTH_X >= 50]),
-        "smooth": SMOOTH,
-        "noise": TEXTURE,
-        "grey": np.dstack([TEXTURE[..., 0]] * 3) // 2 + 100,
-    }[kind]
+    hues = 255 * np.dstack([SMOOTH_X < 50, 0 * SMOOTH_X, SMOOTH_X >= 50])
     share = disc(softness)[..., None]
-    mixed = np.uint8(np.round(colours * share + back * (1 - share)))
+    mixed = (SMOOTH if kind == "smooth" else hues) * share + back * (1 - share)
     with refusal(r"a soft edge, too.* alpha .*--mask-from luminance\)"):
-        load(tmp_path, channels(mixed, np.uint8(255 * (share > 0))))
+        load(tmp_path, channels(np.uint8(np.round(mixed)), np.uint8(255 * (share > 0))))
 
 
-def cut_outs():
-    """Return pictures whose transparency alone is the mask."""
-    radius = np.hypot(SMOOTH_X - 50.3, SMOOTH_Y - 41.7)
-    lit = np.sqrt(np.clip(1 - (radius / 28.5) ** 2, 0, 1))[..., None]
-    share, opaque = disc()[..., None], HARD > 0
-    return {
-        "noise": (TEXTURE, opaque),
-        "noise on black": (TEXTURE * opaque[..., None], opaque),
-        "lit from the camera": (SMOOTH * lit, opaque),
-        "lit, with ambient light": (SMOOTH * (0.2 + 0.8 * lit), opaque),
-        "dark rim": (SMOOTH * (radius < 26)[..., None], opaque),
-        "photo cut in the middle of its edge": (SMOOTH * share, INSIDE),
-        "photo on green": (SMOOTH * share + np.array([40, 120, 40]) * (1 - share), INSIDE),
-    }
+RADIUS = np.hypot(SMOOTH_X - 50.3, SMOOTH_Y - 41.7)[..., None]
+LIT = np.sqrt(np.clip(1 - (RADIUS / 28.5) ** 2, 0, 1))
+#: Pictures whose transparency alone is the mask: colours, opacity.
+CUT_OUT = {
+    "noise": (TEXTURE, HARD),
+    "lit from the camera": (SMOOTH * LIT, HARD),
+    "lit, with ambient light": (SMOOTH * (0.2 + 0.8 * LIT), HARD),
+    "dark rim": (SMOOTH * (RADIUS < 26), HARD),
+    "photo cut in the middle of its edge": (SMOOTH * disc()[..., None], 255 * INSIDE),
+}
 
 
-@pytest.mark.parametrize("name", cut_outs())
+@pytest.mark.parametrize("name", CUT_OUT)
 def test_object_cut_out_hard_is_its_transparency(tmp_path, name):
-    colours, opaque = cut_outs()[name]
-    mask, _ = load(tmp_path, channels(np.uint8(colours), np.uint8(255 * opaque)))
-    assert_array_equal(mask, 255 * opaque)
+    colours, opaque = CUT_OUT[name]
+    mask, _ = load(tmp_path, channels(np.uint8(colours), np.uint8(opaque)))
+    assert_array_equal(mask, opaque)
 
 
 def test_background_that_is_not_black_stays_where_edges_are_soft(tmp_path):
@@ -326,30 +302,25 @@ def test_background_that_is_not_black_stays_where_edges_are_soft(tmp_path):
     assert_allclose(mask / 255, SOFT / 255, atol=0.01)
 
 
-def test_background_colour_gives_partial_coverage_at_edges(tmp_path):
+@pytest.mark.parametrize("way", ["background=dodgerblue", "background=#1e90ff,30"])
+def test_background_colour_gives_partial_coverage_at_edges(tmp_path, way):
     # A disk with a hole, 40 times finer than its pixels: coverage by counting.
     n, fine = 64, 40
     y, x = (np.mgrid[: n * fine, : n * fine] + 0.5) / fine
     r = np.hypot(x - 30.3, y - 33.1)
     disk = ((r < 22.4) & (r > 6.2)).reshape(n, fine, n, fine).mean(axis=(1, 3))
-    random = np.random.default_rng(2)
     shade = np.array([200, 60, 40]) * (0.6 + 0.4 * np.arange(n) / n)[:, None, None]
     back = np.array([30, 144, 255])
     photo = disk[..., None] * shade + (1 - disk[..., None]) * back
     photo[:2, :2] = 0  # specks, one in the object
     photo[14, 30] = back
-    noisy = np.clip(np.round(photo + random.normal(0, 1, photo.shape)), 0, 255).astype(np.uint8)
-    Image.fromarray(noisy).save(tmp_path / "photo.png")
-    with refusal(r"`path`: expected a mask, .* a colour picture"):
-        io.load_mask(tmp_path / "photo.png")
-    for way in ("background=dodgerblue", "background=#1e90ff,30"):
-        said = []
-        mask = io.load_mask(tmp_path / "photo.png", way, said.append) / 255
-        assert np.sqrt(np.mean((mask - disk) ** 2)) < 0.012
-        assert np.sqrt(np.mean((np.round(mask) - disk) ** 2)) > 0.05  # soft edges say more
-        assert np.all(mask[:2, :2] == 0)
-        assert said[0].startswith("mask: what differs from " + way[11:].split(",")[0] + " by more")
-    assert "by more than 30.0 in CIE Lab (as told)" in said[0]
+    noisy = photo + np.random.default_rng(2).normal(0, 1, photo.shape)
+    mask, said = load(tmp_path, np.clip(np.round(noisy), 0, 255).astype(np.uint8), way)
+    assert np.sqrt(np.mean((mask / 255 - disk) ** 2)) < 0.012
+    assert np.sqrt(np.mean((np.round(mask / 255) - disk) ** 2)) > 0.05  # soft edges say more
+    assert np.all(mask[:2, :2] == 0)
+    assert f"differs from {way[11:].split(',')[0]} by more" in said
+    assert ("30.0 in CIE Lab (as told)" in said) == ("30" in way)
 
 
 @pytest.mark.parametrize(
@@ -371,27 +342,20 @@ def test_run_lengths_that_are_none_are_refused(rle, words):
         io.mask_of_rle(rle)
 
 
-@pytest.mark.parametrize("quality", [10, 40, 75, 95, 100])
-def test_jpegs_are_masks_whose_ringing_costs_less_than_a_threshold(tmp_path, quality):
-    for picture in (SOFT, HARD):
-        mask, _ = load(tmp_path, picture, ending="jpg", how={"quality": quality})
-        with Image.open(tmp_path / "mask.jpg") as lossy:
-            assert_array_equal(load(tmp_path, lossy)[0], mask)
-        error = lambda a, truth=picture: np.sqrt(np.mean((a - truth / 255) ** 2))
-        assert error(mask / 255) < 0.1
-        if picture is SOFT and quality == 75:
-            assert 0 < error(mask / 255) < 0.4 * error(np.round(mask / 255))
+@pytest.mark.parametrize("quality", [10, 75, 100])
+@pytest.mark.parametrize("picture", [SOFT, HARD])
+def test_jpegs_are_masks_whose_ringing_is_small(tmp_path, quality, picture):
+    mask, _ = load(tmp_path, picture, ending="jpg", how={"quality": quality})
+    assert np.sqrt(np.mean((mask / 255 - picture / 255) ** 2)) < 0.1
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.int32, np.float32])
-def test_masks_of_two_levels_and_soft_edges_are_read_in_any_depth(tmp_path, dtype):
-    for softness, most in ((1, 255), (3, 255), (9, 255), (3, 26001)):
-        most = 255 if dtype == np.uint8 else most
-        levels = disc(softness) * most if dtype == np.float32 else np.round(disc(softness) * most)
-        mask, _ = load(tmp_path, levels.astype(dtype), ending="tiff")
-        assert_allclose(mask / 255, disc(softness), atol=1 / 200)
-    enlarged = np.round(255 * disc()).astype(dtype).repeat(3, 0).repeat(3, 1)
-    assert load(tmp_path, enlarged, ending="tiff")[0].shape == (3 * H, 3 * W)
+@pytest.mark.parametrize("softness", [1, 3, 9])
+def test_masks_of_two_levels_and_soft_edges_are_read_in_any_depth(tmp_path, dtype, softness):
+    most = {np.uint16: 26001, np.float32: 1}.get(dtype, 255)
+    levels = (disc(softness) * most + 0.5 * (most > 1)).astype(dtype)
+    assert_allclose(load(tmp_path, levels, ending="tiff")[0] / 255, disc(softness), atol=1 / 200)
+    load(tmp_path, levels.repeat(3, 0).repeat(3, 1), ending="tiff")
 
 
 # --- crumbs and pinholes --------------------------------------------------------------------------
@@ -439,14 +403,8 @@ def test_tidy_mask_describes_and_leaves_a_sound_mask():
     )
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"mask": np.zeros(3)}, r"`mask`: expected shape \(H, W\)"),
-        ({"mask": np.full((3, 3), np.nan)}, "`mask`: expected finite values"),
-        ({"speck": 1.0}, "`speck`: expected a share of the object, 0 <= speck < 1, got 1.0"),
-    ],
-)
-def test_bad_arguments_of_tidy_mask_are_refused(change, message):
-    with refusal(message):
-        io.tidy_mask(**{"mask": np.zeros((3, 3)), **change})
+def test_bad_arguments_of_tidy_mask_are_refused():
+    with refusal(r"`mask`: expected shape \(H, W\)"):
+        io.tidy_mask(np.zeros(3))
+    with refusal("`speck`: expected a share of the object, 0 <= speck < 1, got 1.0"):
+        io.tidy_mask(np.zeros((3, 3)), speck=1.0)

@@ -1,6 +1,7 @@
 """What mesh files say, against polygons in shapely and triangles written down by hand."""
 
 import base64
+import codecs
 import json
 import os
 import re
@@ -45,35 +46,36 @@ def off(kind="OFF", colour="", around=""):
     return f"{kind}\n# sizes\n{len(POINTS)} {len(FACES)} 0\n\n".encode() + "\n".join(rows).encode()
 
 
+#: PLY's types, as `struct` has them.
+CODES = {"uchar": "B", "int": "i", "float": "f", "double": "d", "short": "h", "uint": "I",
+         "ushort": "H"}  # fmt: skip
+
+
 def ply(order="<", name="vertex_indices", length="uchar", index="int", real="float", more=False):
     """`more`: a table before, and more properties, lists too, before and after the vertices'."""
     form = {"<": "binary_little_endian", ">": "binary_big_endian", "": "ascii"}[order]
-    head = f"ply\nformat {form} 1.0\ncomment x\nobj_info y\n"
-    head += "element note 2\nproperty list uchar short n\n" * more
-    head += f"element vertex {len(POINTS)}\n" + "property uchar red\n" * more
-    head += "".join(f"property {real} {x}\n" for x in "xyz") + "property double w\n" * more
-    head += f"element face {len(FACES)}\n" + "property list uchar float texcoord\n" * more
-    head += (
-        f"property list {length} {index} {name}\n"
-        + "property uchar flags\nproperty float area\n" * more
-    )
-    codes = {"uchar": "B", "int": "i", "float": "f", "double": "d", "short": "h", "uint": "I",
-             "ushort": "H"}  # fmt: skip
-    rows = [[("uchar", 3), *[("short", k) for k in range(3)]], [("uchar", 0)]] if more else []
+    head = [f"ply\nformat {form} 1.0\ncomment x\nobj_info y"]
+    head += ["element note 2\nproperty list uchar short n"] * more
+    head += [f"element vertex {len(POINTS)}", *["property uchar red"] * more]
+    head += [*(f"property {real} {x}" for x in "xyz"), *["property double w"] * more]
+    head += [f"element face {len(FACES)}", *["property list uchar float texcoord"] * more]
+    head += [f"property list {length} {index} {name}"]
+    head += ["property uchar flags\nproperty float area"] * more
+    rows = [("uchar", 3), *(("short", k) for k in range(3)), ("uchar", 0)] if more else []
     for point in POINTS:
-        row = [(real, x) for x in point]
-        rows.append([("uchar", 9), *row, ("double", 1.5)] if more else row)
+        rows += [("uchar", 9)] * more + [(real, x) for x in point] + [("double", 1.5)] * more
     for k, corners in enumerate(CORNERS):
-        row = [(length, len(corners)), *[(index, int(c)) for c in corners]]
-        loose = [("uchar", k), *[("float", 0.5)] * k]
-        rows.append([*loose, *row, ("uchar", 7), ("float", 2.5)] if more else row)
+        rows += [("uchar", k), *[("float", 0.5)] * k] if more else []
+        rows += [(length, len(corners)), *((index, int(c)) for c in corners)]
+        rows += [("uchar", 7), ("float", 2.5)] if more else []
     if order:
-        body = b"".join(struct.pack(order + codes[t], x) for row in rows for t, x in row)
+        body = b"".join(struct.pack(order + CODES[kind], x) for kind, x in rows)
     else:
-        body = "\n".join(" ".join(str(x) for _, x in row) for row in rows).encode()
-    return head.encode() + b"end_header\n" + body
+        body = " ".join(str(x) for _, x in rows).encode()
+    return "\n".join([*head, "end_header\n"]).encode() + body
 
 
+KINDS = {"obj": obj, "off": off, "ply": ply}
 FILES = {
     "plain.obj": obj(),
     "textures.obj": obj("{}/1"),
@@ -95,6 +97,7 @@ FILES = {
     "text.ply": ply(""),
     "name.ply": ply(name="vertex_index", length="int"),
     "short.ply": ply(">", index="ushort", name="vertex_index"),
+    **{f"marked.{x}": codecs.BOM_UTF8 + make() for x, make in KINDS.items()},
     "more.ply": ply(more=True),
     "more_big.ply": ply(">", more=True),
     "more_text.ply": ply("", more=True),
@@ -160,7 +163,21 @@ def ascii_stl(corners):
 
 
 STL = ascii_stl(3) + b"endsolid\n"
+#: A face with a number left open.
+TEXTS = {
+    "obj": "v 0 0 0\nv 1 0 {}\nv 0 1 0\nf 1 2 3 # a face\n",
+    "off": "OFF\n3 1 0\n0 0 0\n1 0 {} # a corner\n0 1 0\n3 0 1 2\n",
+    "ply": "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+    "property float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    "0 0 0\n1 0 {}\n0 1 0\n3 0 1 2\n",
+    "stl": "solid\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 {}\n"
+    "vertex 0 1 0\nendloop\nendfacet\nendsolid\n",
+}
+#: How Windows writes what is no number.
+WORDS = ["1.#QNAN", "-1.#IND00", "1.#INF", "1#INF", "-nan(ind)", "nan", "inf"]
 OTHERS = {
+    **{f"{w}.{kind}": (text.format(w).encode(), "") for kind, text in TEXTS.items() for w in WORDS},
+    **{f"utf16.{kind}": (text.encode("utf-16"), "UTF-16") for kind, text in TEXTS.items()},
     "stl_quad.stl": (ascii_stl(6) + b"endsolid\n", "facets of three corners"),
     "stl_number.stl": (STL.replace(b"vertex ", b"vertex 7 ", 1), "three coordinates"),
     "stl_two.stl": (STL + STL[:-9], "without its end"),
@@ -189,8 +206,8 @@ OTHERS = {
     "nan.stl": (bytes(80) + struct.pack("<I12fH", 1, *12 * [np.nan], 0), "NaN or infinity"),
     "zero.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n", "vertex 0; they are counted from 1"),
     "beyond.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "with vertices 0 to 2, .* 0 to 8"),
-    "empty.obj": (b"", "empty"),
-    "points.obj": (b"v 0 0 0\nv 1 0 0\n", "with faces, .*: none"),
+    "empty.obj": (b"", "no faces"),
+    "points.obj": (b"v 0 0 0\nv 1 0 0\n", "no faces"),
     "noise.ply": (b"hello", "no ply at its beginning"),
     "mesh.txt": (b"v 0 0 0", "one of .dae, .obj"),
     "huge.obj": (b"v 1e400 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "finite vertices"),
@@ -210,6 +227,7 @@ def test_stl_text_has_any_names_normals_and_line_ends(tmp_path, caplog):
         STL.upper(),
         STL.replace(b"\n", b"\r"),
         STL.replace(b"\n", b"\r\n"),
+        codecs.BOM_UTF8 + STL,
         re.sub(rb"solid[^\n]*", rb"solid vertex normal 1", STL),
         *(STL.replace(b"0 0 1\n", n) for n in (b"-1.#IND 0 0\n", b"0,0 0,0 1,0\n", b"x y z\n")),
     ):
@@ -217,47 +235,6 @@ def test_stl_text_has_any_names_normals_and_line_ends(tmp_path, caplog):
         mesh = mesh_of(tmp_path, "b.stl", text)
         assert_array_equal(triangles_of(mesh), plain)
     assert not caplog.records
-
-
-SPARE = b"v 9 9 9\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 5 5 5\nf 2 3 4\n"
-
-
-@pytest.mark.parametrize(
-    "name", ["spare.obj", "plain.obj", "plain.off", "little.ply", "text.ply", "a.stl"]
-)
-def test_byte_order_marks_change_nothing(tmp_path, name):
-    data = {**FILES, "spare.obj": SPARE, "a.stl": STL}[name]
-    plain = triangles_of(mesh_of(tmp_path, name, data))
-    marked = triangles_of(mesh_of(tmp_path, name, b"\xef\xbb\xbf" + data))
-    assert_array_equal(marked, plain)
-    for coding in ("utf-16", "utf-16-le", "utf-16-be") if data.isascii() else ():
-        with refusal("UTF-16"):
-            mesh_of(tmp_path, name, data.decode().encode(coding))
-
-
-WORDS = ["1.#QNAN", "-1.#IND00", "1.#INF", "1#INF", "-nan(ind)", "nan", "inf"]
-
-
-@pytest.mark.parametrize("word", WORDS)
-@pytest.mark.parametrize("ending", ["obj", "off", "ply", "stl"])
-def test_numbers_that_windows_writes_are_never_one(tmp_path, word, ending):
-    texts = {
-        "obj": "v 0 0 0\nv 1 0 {}\nv 0 1 0\nf 1 2 3 # a face\n",
-        "off": "OFF\n3 1 0\n0 0 0\n1 0 {} # a corner\n0 1 0\n3 0 1 2\n",
-        "ply": "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
-        "property float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
-        "0 0 0\n1 0 {}\n0 1 0\n3 0 1 2\n",
-        "stl": "solid\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 {}\n"
-        "vertex 0 1 0\nendloop\nendfacet\nendsolid\n",
-    }
-    text = texts[ending]
-    assert len(mesh_of(tmp_path, f"a.{ending}", text.format(1).encode()).faces) == 1
-    with refusal("`path`: expected"):
-        mesh_of(tmp_path, f"b.{ending}", text.format(word).encode())
-    if ending == "obj":
-        unread = f"vt {word} {word}\nvn {word} 0 1\n".encode() + obj("{}/1/1")
-        mesh, plain = (mesh_of(tmp_path, "c.obj", x) for x in (unread, obj()))
-        assert_array_equal(triangles_of(mesh), triangles_of(plain))
 
 
 def test_no_file_that_an_obj_names_is_opened(tmp_path, monkeypatch):
@@ -317,10 +294,10 @@ class File:
         text = json.dumps({**self.top, "buffers": [buffer]}).encode()
         if not binary:
             return text
-        text, data = text + b" " * (-len(text) % 4), self.data + bytes(-len(self.data) % 4)
-        chunks = struct.pack("<2I", len(text), 0x4E4F534A) + text
-        chunks += struct.pack("<2I", len(data), 0x004E4942) + data
-        return struct.pack("<3I", 0x46546C67, 2, 12 + len(chunks)) + chunks
+        parts = [x + b" " * (-len(x) % 4) for x in (text, self.data)]
+        kinds = zip(parts, (0x4E4F534A, 0x004E4942), strict=True)
+        body = b"".join(struct.pack("<2I", len(x), kind) + x for x, kind in kinds)
+        return struct.pack("<3I", 0x46546C67, 2, 12 + len(body)) + body
 
     def load(self, tmp_path, binary=False, **more):
         name = "a.glb" if binary else "a.gltf"
@@ -337,54 +314,39 @@ def square(**more):
 def check_triangles(mesh, expected):
     """Assert that a mesh has these triangles (T, 3, 3), each the same way round."""
 
-    def sorted_triangles(triangles):
-        triangles = np.round(np.asarray(triangles, float), 4) + 0.0
-        first = [min(range(3), key=lambda k: tuple(t[k])) for t in triangles]
-        turned = [np.roll(t, -k, axis=0) for t, k in zip(triangles, first, strict=True)]
-        return sorted(tuple(t.ravel()) for t in turned)
+    def ordered(triangles):
+        points = [[tuple(p) for p in np.round(t, 3) + 0.0] for t in triangles]
+        return sorted(tuple(np.roll(t, -t.index(min(t)), axis=0).ravel()) for t in points)
 
-    assert_allclose(sorted_triangles(triangles_of(mesh)), sorted_triangles(expected), atol=2e-4)
+    assert_allclose(ordered(triangles_of(mesh)), ordered(expected), atol=2e-3)
 
 
-@pytest.mark.parametrize("binary", [False, True])
 @pytest.mark.parametrize("kind", ["u1", "u2", "u4"])
-def test_indexed_triangles(tmp_path, kind, binary):
+def test_indexed_triangles(tmp_path, kind):
     f = File()
     f.node(mesh=f.mesh(f.primitive(SQUARE, TWO.astype(kind))))
-    check_triangles(f.load(tmp_path, binary), SQUARE[TWO])
+    check_triangles(f.load(tmp_path, binary=kind == "u2"), SQUARE[TWO])
 
 
 def test_strips_triangles_lines_and_points_in_one_mesh(tmp_path):
     strip = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0, 2, 0]], "<f4")
-    joined, lines = np.array([0, 1, 2, 2, 3, 3, 4, 1], "<u1"), strip[:3] + 50
+    joined = np.array([0, 1, 2, 2, 3, 3, 4, 1], "<u1")  # corners that come again join two strips
     f = File()
-    parts = [f.primitive(strip, mode=5), f.primitive(SQUARE + 20, TWO)]
-    parts += [f.primitive(strip + 30, joined, mode=5)]  # corners that come again join two strips
-    parts += [f.primitive(lines, mode=m) for m in (0, 1, 2, 3)]
-    f.node(mesh=f.mesh(*parts, f.primitive(lines, np.array([0, 0, 1, 1, 1], "<u4"), mode=0)))
-    expected = [*strip[[[0, 1, 2], [1, 3, 2], [2, 3, 4]]], *(SQUARE + 20)[TWO]]
+    parts = [f.primitive(strip, mode=5), f.primitive(strip + 30, joined, mode=5)]
+    parts += [f.primitive(strip[:3] + 50, mode=mode) for mode in (0, 1, 2, 3, 4)]
+    f.node(mesh=f.mesh(*parts))
+    expected = [*strip[[[0, 1, 2], [1, 3, 2], [2, 3, 4]]], strip[:3] + 50]
     check_triangles(f.load(tmp_path), [*expected, *(strip + 30)[[[0, 1, 2], [3, 1, 4]]]])
-    f.node(mesh=f.mesh(f.primitive(SQUARE, mode=6)))
-    with refusal(r"`mode`: .*fans are not read.*meshes\[1\], primitives\[0\]"):
-        f.load(tmp_path)
 
 
 @pytest.mark.parametrize("kind", ["i1", "u1", "i2", "u2"])
-@pytest.mark.parametrize("normalized", [True, False])
-def test_quantized_positions(tmp_path, kind, normalized):
+def test_quantized_positions(tmp_path, kind):
     top = np.iinfo(kind).max
     points = np.array([[0, 0, 0], [top, 0, 0], [top, top, top // 2]], kind)
-    if kind[0] == "i":
-        points[0] = np.iinfo(kind).min  # stands for -1, not a little less
     f = File()
     f.node(mesh=f.mesh(f.primitive(points)))
-    f.top["accessors"][0]["normalized"] = normalized
-    f.top["extensionsRequired"] = f.top["extensionsUsed"] = ["KHR_mesh_quantization"]
-    if normalized:
-        with refusal(r"`normalized`.*accessors\[0\]"):
-            f.load(tmp_path)
-    else:
-        check_triangles(f.load(tmp_path), [points])
+    f.top["extensionsRequired"] = ["KHR_mesh_quantization"]
+    check_triangles(f.load(tmp_path), [points])
 
 
 def test_interleaved_data_at_offsets(tmp_path):
@@ -402,32 +364,23 @@ def test_names_cameras_and_materials_are_no_shape(tmp_path):
     f = File()
     mesh = f.mesh(f.primitive(SQUARE, TWO, material=0), name="world", extras={"skin": 1})
     child = f.node(False, mesh=mesh, name="world", translation=[0, 0, 1])
-    f.node(mesh=mesh, camera=0, name="world", translation=[1, 0, 0], children=[child])
-    f.top |= {"cameras": [{"type": "perspective", "perspective": {"yfov": 1, "znear": 1}}]}
-    f.top |= {"materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 9}}}]}
-    f.top |= {"images": [{"uri": "http://localhost/x.png"}], "skins": [{"joints": []}]}
-    expected = [*np.add(SQUARE, [1, 0, 0])[TWO], *np.add(SQUARE, [1, 0, 1])[TWO]]
-    check_triangles(f.load(tmp_path), expected)
-    check_triangles(f.load(tmp_path, binary=True), expected)
-
-
-def placed(points, translation, rotation, scale):
-    return Rotation.from_quat(rotation).apply(points * scale) + translation
+    f.node(mesh=mesh, camera=0, name="world", children=[child])
+    f.top |= {"cameras": [{}], "materials": [{}], "skins": [{"joints": []}]}
+    f.top |= {"images": [{"uri": "http://localhost/x.png"}]}
+    for binary in (False, True):
+        check_triangles(f.load(tmp_path, binary), [*SQUARE[TWO], *np.add(SQUARE, [0, 0, 1])[TWO]])
 
 
 def test_nodes_place_by_matrix_and_by_parts_and_mirrors_turn_faces(tmp_path):
-    q = Rotation.random(None, 1).as_quat()
-    matrix = np.eye(4)
-    matrix[:3] = [[0, -2, 0, 5], [1, 0, 0, 6], [0, 0, -1, 7]]
+    turn, matrix = Rotation.random(None, 1), np.eye(4)
+    matrix[:3] = [[0, -2, 0, 5], [1, 0, 0, 6], [0, 0, -1, 7]]  # it mirrors
     f = File()
-    mesh = f.mesh(f.primitive(SQUARE, TWO))
-    child = f.node(False, mesh=mesh, translation=[1, 2, 3], rotation=q.tolist(), scale=[2, 3, 4])
+    mesh, q = f.mesh(f.primitive(SQUARE, TWO)), turn.as_quat().tolist()
+    child = f.node(False, mesh=mesh, translation=[1, 2, 3], rotation=q, scale=[2, 3, 4])
     f.node(matrix=matrix.T.ravel().tolist(), children=[child], mesh=mesh)
-    inner = placed(SQUARE, [1, 2, 3], q, [2, 3, 4])
-    outer = lambda p: p @ matrix[:3, :3].T + matrix[:3, 3]
-    assert np.linalg.det(matrix[:3, :3]) < 0
-    expected = [*outer(inner)[TWO][:, ::-1], *outer(SQUARE)[TWO][:, ::-1]]
-    check_triangles(f.load(tmp_path), expected)
+    inner = np.add(turn.apply(SQUARE * [2, 3, 4]), [1, 2, 3])
+    outer = [points @ matrix[:3, :3].T + matrix[:3, 3] for points in (inner, SQUARE)]
+    check_triangles(f.load(tmp_path), [x for points in outer for x in points[TWO][:, ::-1]])
 
 
 # --- glTF files that lie -------------------------------------------------------------------------
@@ -487,6 +440,7 @@ def many(kind, count):
 
 #: A field, with its new value or without one, and the error.
 CHANGES = {
+    "accessors.0.normalized = true": r"`normalized`.*accessors\[0\]",
     "accessors.0.count = 1000000000": r"`count`: .* got 1000000000 .*accessors\[0\]",
     "accessors.0.count = -1": "`count`: expected an integer of at least 1, got -1",
     "accessors.0.byteOffset = 1": r"`count`: expected data in 48 bytes.*accessors\[0\]",
@@ -520,7 +474,7 @@ CHANGES = {
     "scenes.0.nodes = [0, 0]": "one parent",
     "scene = 3": "`scene`: expected a number below 1",
     "meshes.0.weights = [1.0]": r"`weights`: .*meshes\[0\]",
-    "meshes.0.primitives.0.mode = 7": "`mode`",
+    "meshes.0.primitives.0.mode = 6": r"`mode`: .*fans are not read.*meshes\[0\], primitives",
     "meshes.0.primitives.0.indices = 0": r"`type`: .*accessors\[0\]",
     'meshes.0.primitives.0.extensions = {"KHR_draco_mesh_compression": {}}': "`KHR_draco",
     'asset.version = "1.0"': "`version`: expected 2.0, got 1.0 .*asset",
@@ -554,7 +508,7 @@ def test_indices_beyond_the_vertices(tmp_path):
     f = File()
     f.node(mesh=f.mesh(f.primitive(SQUARE, np.array([0, 1, 4], "<u1"))))
     f.node(mesh=f.mesh(f.primitive(SQUARE, TWO)))  # all vertices together would be enough
-    with refusal("expected indices of 4 vertices, got 4"):
+    with refusal("expected faces with vertices 0 to 3, got 0 to 4"):
         f.load(tmp_path)
 
 
@@ -572,10 +526,3 @@ def test_small_files_that_stand_for_much_are_refused_in_seconds(tmp_path, make, 
     with refusal(message):
         mesh_of(tmp_path, "a.gltf", data)
     assert time.process_time() - start < 20
-
-
-@pytest.mark.parametrize("cut", [3, 12, 20, 40, -1])
-def test_truncated_glb_is_refused(tmp_path, cut):
-    f = square()
-    with refusal("`path`: expected a readable mesh"):
-        mesh_of(tmp_path, "a.glb", f.bytes(binary=True)[:cut])

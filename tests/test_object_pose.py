@@ -51,38 +51,30 @@ def test_pose_projects_as_the_camera_does():
 
 def test_frozen_parameters_have_no_error_and_hidden_ones_infinite():
     camera = pj.Camera([0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 64, 48)
-    place = formats.object_pose(fit_of(camera, ("e_x", "e_y", "e_z")), pixel_centres="half")
-    assert_array_equal(place.std[:3], 0)
-    names = ("rotation_v", "e_x")
-    lost = fit_of(camera, names)
     covariance = np.array([[np.inf, np.nan], [np.nan, 1e-8]])
-    lost = lost._replace(covariance=covariance)
+    lost = fit_at(camera, covariance, ("rotation_v", "e_x"))
     pose = formats.object_pose(lost, pixel_centres="half")
     assert np.isinf(pose.std[2])
     assert_allclose(pose.std[[0, 1, 3, 4, 5]], [0, 0, 1e-4, 0, 0], atol=1e-12)
     assert np.isnan(pose.covariance[2, 3])
 
 
-def test_pose_is_printed_and_saved_with_the_fit():
-    fit = fit_of(pj.Camera([0.3, 1, 5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 64, 48))
-    pose = formats.object_pose(fit, pixel_centres="integer")
-    text = str(pose)
-    for words in ("X_camera = R X_object + t", "world_from_camera", "one sigma", "x y z w"):
-        assert words in text
-    written = io.fit_to_dict(fit)["fit"]["object_in_camera"]
-    assert written["pixel_centres"] == "integer"
+@pytest.mark.parametrize("centres", ["integer", "half"])
+def test_pose_is_printed_and_saved_with_the_fit(centres):
+    lens = pj.Lens([32, 24], 1.0, pj.BrownConrady(-0.1))
+    fit = fit_of(pj.Camera([0.3, 1, 5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 64, 48, lens))
+    pose = formats.object_pose(fit, pixel_centres=centres)
+    for words in (
+        "X_camera = R X_object + t",
+        "one sigma",
+        "x y z w",
+        "BrownConrady: k1 -0.1, k2 0",
+    ):
+        assert words in str(pose)
+    written = io.fit_to_dict(fit, pixel_centres=centres)["fit"]["object_in_camera"]
+    assert written["pixel_centres"] == centres
     for name in ("K", "R", "t", "camera_from_world", "world_from_camera"):
         assert_array_equal(written[name], getattr(pose, name))
     assert_array_equal(written["object_covariance"], pose.covariance)
     assert "covariance" not in written  # that of the fit alone has this name
-    assert "right, down, forward" in written["object_frame"]
-    assert written["distortion"] is None
-
-
-def test_lens_and_pixel_centres_are_written():
-    lens = pj.Lens([32, 24], 1.0, pj.BrownConrady(-0.1))
-    fit = fit_of(pj.Camera([0.3, 1, 5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 64, 48, lens))
-    assert "BrownConrady: k1 -0.1, k2 0" in str(formats.object_pose(fit, pixel_centres="half"))
-    written = io.fit_to_dict(fit, pixel_centres="half")["fit"]["object_in_camera"]
-    assert (written["pixel_centres"], written["K"][0][2]) == ("half", 32)
     assert written["distortion"] == {"model": "BrownConrady", **lens.distortion.coefficients()}

@@ -24,12 +24,6 @@ def comb(teeth):
     return np.concatenate([[[1, 0], [1, 0.5]], top[::-1], [[0, 0]]])
 
 
-def spiral(n):
-    angle = np.linspace(1, 20, n // 2)
-    arm = np.stack([angle * np.cos(angle), angle * np.sin(angle)], axis=-1)
-    return np.concatenate([arm, 1.05 * arm[::-1]])[::-1]
-
-
 def in_space(corners, place=((1, 0, 0), (0, 1, 0), (0, 0, 1))):
     """Return corners (n, 2) as points in space, turned."""
     return np.pad(np.asarray(corners, float), ((0, 0), (0, 1))) @ np.transpose(place)
@@ -54,7 +48,6 @@ SHAPES = {
     "bridge": [[0, 0], [3, 0], [3, 3], [0, 3], [0, 0], [1, 1], [1, 2], [2, 2], [2, 1], [1, 1]],
     "touching": [[0, 0], [2, 0], [2, 2], [1, 0], [0, 2]],  # a corner on a side
     "comb": comb(20),
-    "spiral": spiral(200),
     "blob": blob(57),
     "circle": blob(100, spread=0),
 }
@@ -107,13 +100,6 @@ def test_face_covers_its_polygon(name, turned, way):
             check(corners, space, cut(scale * space + offset), closed=offset == 0)
 
 
-@pytest.mark.parametrize("name", ["chevron", "L", "arrow", "star", "comb"])
-def test_small_faces_far_away(name):
-    """At 1e5 a double is good to 1.5e-11: corners of a face of 1e-6 to some 1e-5 of its size."""
-    space = 1e-6 * in_space(SHAPES[name]) + 1e5
-    check((space - space[0])[:, :2] / 1e-6, space, cut(space))
-
-
 def test_random_simple_polygons():
     random = np.random.default_rng(0)
     for seed in range(200):
@@ -126,16 +112,16 @@ def test_many_faces_keep_their_order_and_their_corners():
     shapes = [np.asarray(SHAPES[name], float) for name in ("square", "chevron", "L", "star")]
     shapes = [shapes[k % 4] + [10 * k, 0] for k in range(40)] + [np.zeros((2, 2)), np.zeros((0, 2))]
     points = in_space(np.concatenate(shapes))
-    random = np.random.default_rng(0)
-    order = random.permutation(len(points))  # a face's corners lie anywhere
-    corners = np.argsort(order)
-    triangles = triangulate(Polygons(points[order], corners, np.array([*map(len, shapes)])))
-    centres = points[order][triangles].mean(axis=1)
-    owner = np.floor((centres[:, 0] + 3) / 10).astype(int)
+    order = np.random.default_rng(0).permutation(len(points))  # a face's corners lie anywhere
+    triangles = triangulate(
+        Polygons(points[order], np.argsort(order), np.array([*map(len, shapes)]))
+    )
+    parts = shapely.polygons(points[order][triangles][..., :2])
+    owner = np.floor((shapely.get_x(shapely.centroid(parts)) + 3) / 10)
     assert np.all(np.diff(owner) >= 0)
     for k, shape in enumerate(shapes[:40]):
-        parts = shapely.polygons(points[order][triangles[owner == k]][..., :2])
-        assert shapely.area(shapely.unary_union(parts)) == pytest.approx(covered(shape))
+        own = shapely.unary_union(parts[owner == k])
+        assert shapely.area(own) == pytest.approx(covered(shape))
 
 
 def test_quads_that_are_not_flat_are_cut_so_that_both_halves_face_their_way():

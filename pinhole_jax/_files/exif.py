@@ -35,38 +35,24 @@ def field_of_view(image: Any) -> FieldOfView | None:
     """
     from PIL import ExifTags
 
-    Base = ExifTags.Base
     tags = image.getexif().get_ifd(ExifTags.IFD.Exif)
-    film, length, density, *full = (
-        _positive(tags.get(tag))
-        for tag in (
-            Base.FocalLengthIn35mmFilm,
-            Base.FocalLength,
-            Base.FocalPlaneXResolution,
-            Base.ExifImageWidth,
-            Base.ExifImageHeight,
-        )
-    )
-    W, H = image.size
-    smaller = 1.0
-    if all(full):
+    tag = lambda name: _positive(tags.get(ExifTags.Base[name]))
+    (W, H), smaller = image.size, 1.0
+    if all(full := (tag("ExifImageWidth"), tag("ExifImageHeight"))):
         smaller = max(W, H) / max(full)
         if abs(min(full) * smaller / min(W, H) - 1) > SAME_SHAPE:
             return None
-    focals_px = {}
-    if film:
-        focals_px[f"FocalLengthIn35mmFilm {film:g} mm"] = film * math.hypot(W, H) / FILM_DIAGONAL_MM
-    unit = UNIT_MM.get(tags.get(Base.FocalPlaneResolutionUnit, 2))
-    if length and density and unit:
-        words = f"FocalLength {length:g} mm and FocalPlaneXResolution"
-        focals_px[words] = length * density / unit * smaller
-    if not focals_px:
-        return None
-    (words, focal), *others = focals_px.items()
-    for name, other in others:
-        if abs(other / focal - 1) > SAME_FOCAL:
-            words += f" (against {name}: {other / focal:.2f} times as long)"
-    return FieldOfView(2 * math.atan(H / (2 * focal)), words)
+    film, length = tag("FocalLengthIn35mmFilm"), tag("FocalLength")
+    unit = UNIT_MM.get(tags.get(ExifTags.Base.FocalPlaneResolutionUnit, 2), math.inf)
+    by_film = film * math.hypot(W, H) / FILM_DIAGONAL_MM
+    by_sensor = length * tag("FocalPlaneXResolution") / unit * smaller
+    words = f"FocalLength {length:g} mm and FocalPlaneXResolution"
+    if by_film:
+        against = f" (against {words}: {by_sensor / by_film:.2f} times as long)"
+        is_other = by_sensor and abs(by_sensor / by_film - 1) > SAME_FOCAL
+        words = f"FocalLengthIn35mmFilm {film:g} mm" + (against if is_other else "")
+    focal = by_film or by_sensor
+    return FieldOfView(2 * math.atan(H / (2 * focal)), words) if focal else None
 
 
 def _positive(value: Any) -> float:

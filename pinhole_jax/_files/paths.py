@@ -190,8 +190,6 @@ def _refusal(path: Any, kind: str, *passed: type[Exception]) -> Iterator[None]:
 
 def reason(error: Exception) -> str:
     """Return the first line of an error that a reader or a writer of files raised."""
-    if isinstance(error, ModuleNotFoundError) and error.name in ("chardet", "charset_normalizer"):
-        return "bytes that are no text in UTF-8"
     words = (isinstance(error, OSError) and error.strerror) or str(error)
     first = words.splitlines()[0] if words else type(error).__name__
     return re.sub(r"\s*<_io\.[^>]*>", "", first)  # how a reader calls the stream that it was given

@@ -13,7 +13,11 @@ from .gltf_mesh import read_gltf_mesh
 from .obj import read_obj
 from .off import read_off
 from .ply import read_ply
-from .polygons import Polygons as Polygons, triangulate as triangulate
+from .polygons import (
+    Polygons as Polygons,
+    check_corners as check_corners,
+    triangulate as triangulate,
+)
 from .stl import read_stl
 
 READERS = {

@@ -17,7 +17,6 @@ from .._files.paths import read_bytes
 from .glb import MOST_BYTES, children, parse_gltf, parts, place_nodes
 from .polygons import Polygons, cut_strips, merge
 
-LISTS = ("nodes", "meshes", "accessors", "bufferViews", "buffers", "scenes")
 UNREAD = ("skin", "sparse", "EXT_mesh_gpu_instancing", "KHR_node_visibility",
           "KHR_draco_mesh_compression", "EXT_meshopt_compression",
           "KHR_meshopt_compression")  # fmt: skip
@@ -29,6 +28,8 @@ NO_SHAPE = ("KHR_mesh_quantization", "KHR_materials_", "KHR_texture_", "EXT_text
 POSITIONS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5126: "<f4"}
 INDICES = {5121: "u1", 5123: "<u2", 5125: "<u4"}
 TRIANGLES, STRIP = 4, 5
+#: A part of a buffer, and the bytes from one of its elements to the next, 0: no gaps.
+View = tuple[memoryview, int]
 
 
 def read_gltf_mesh(data: bytes, file: Path) -> Polygons:
@@ -43,40 +44,41 @@ def read_gltf_mesh(data: bytes, file: Path) -> Polygons:
     for name in top.data.get("extensionsRequired", ()):
         if not str(name).startswith(NO_SHAPE):
             raise top.wrong("extensionsRequired", "extensions that are read here", str(name))
-    lists = {name: parts(top, name) for name in LISTS}
-    buffers = [_data(buffer, binary, file) for buffer in lists["buffers"]]
-    return merge(_primitives(top, lists, buffers))
+    buffers = [_data(buffer, binary, file) for buffer in parts(top, "buffers")]
+    views = [_view(view, buffers) for view in parts(top, "bufferViews")]
+    return merge(_primitives(top, views))
 
 
-def _primitives(
-    top: Fields, lists: dict[str, list[Fields]], buffers: list[memoryview]
-) -> Iterator[tuple[Polygons, np.ndarray]]:
+def _view(view: Fields, buffers: list[memoryview]) -> View:
+    begin, length = view.integer("byteOffset", 0, 0), view.integer("byteLength")
+    data = _readable(view).chosen("buffer", buffers)[begin : begin + length]
+    return data, view.integer("byteStride", 0, 0)
+
+
+def _primitives(top: Fields, views: list[View]) -> Iterator[tuple[Polygons, np.ndarray]]:
     """Yield the polygons of each primitive in the scene, and their place (4, 4)."""
-    nodes = lists["nodes"]
-    roots = children(top.chosen("scene", lists["scenes"], 0), nodes, "nodes")
+    nodes, meshes, accessors = (parts(top, name) for name in ("nodes", "meshes", "accessors"))
+    roots = children(top.chosen("scene", parts(top, "scenes"), 0), nodes, "nodes")
     for k, place in place_nodes(nodes, roots).items():
         node = _readable(nodes[k])
-        mesh = _readable(node.chosen("mesh", lists["meshes"])) if "mesh" in node else None
+        mesh = _readable(node.chosen("mesh", meshes)) if "mesh" in node else None
         for primitive in mesh.parts("primitives") if mesh else ():
             mode = _readable(primitive).integer("mode", 0, TRIANGLES)
             if mode > STRIP:
                 raise primitive.wrong("mode", "at most 5: fans are not read", str(mode))
             if mode >= TRIANGLES:
-                yield _polygons(primitive, mode, lists, buffers), place
+                yield _polygons(primitive, mode, accessors, views), place
 
 
-def _polygons(
-    primitive: Fields, mode: int, lists: dict[str, list[Fields]], buffers: list[memoryview]
-) -> Polygons:
-    accessors, views = lists["accessors"], lists["bufferViews"]
+def _polygons(primitive: Fields, mode: int, accessors: list[Fields], views: list[View]) -> Polygons:
     position = primitive.part("attributes").chosen("POSITION", accessors)
     if position.data.get("normalized"):
         raise position.wrong("normalized", "positions that are not normalised", "True")
-    points = _numbers(position, "VEC3", POSITIONS, views, buffers)
+    points = _numbers(position, "VEC3", POSITIONS, views)
     corners = np.arange(len(points))
     if "indices" in primitive:
         indices = primitive.chosen("indices", accessors)
-        corners = _numbers(indices, "SCALAR", INDICES, views, buffers)[:, 0].astype(int)
+        corners = _numbers(indices, "SCALAR", INDICES, views)[:, 0].astype(int)
     if mode == STRIP:
         corners = cut_strips(corners, np.array([len(corners)]))
     elif len(corners) % 3:
@@ -84,23 +86,15 @@ def _polygons(
     return Polygons(points.astype(float), corners.ravel(), np.full(corners.size // 3, 3))
 
 
-def _numbers(
-    accessor: Fields,
-    kind: str,
-    types: dict[int, str],
-    views: list[Fields],
-    buffers: list[memoryview],
-) -> np.ndarray:
+def _numbers(accessor: Fields, kind: str, types: dict[int, str], views: list[View]) -> np.ndarray:
     """Return an accessor's numbers, (count, 3) or (count, 1)."""
     _readable(accessor).text("type", (kind,))
     number, count = accessor.integer("componentType"), accessor.integer("count")
     if number not in types:
         raise accessor.wrong("componentType", f"one of {[*types]}", str(number))
-    view = _readable(accessor.chosen("bufferView", views))
-    begin, length = view.integer("byteOffset", 0, 0), view.integer("byteLength")
-    data = view.chosen("buffer", buffers)[begin : begin + length]
+    data, stride = accessor.chosen("bufferView", views)
     dtype, width = np.dtype(types[number]), 3 if kind == "VEC3" else 1
-    stride = view.integer("byteStride", 0, 0) or dtype.itemsize * width
+    stride = stride or dtype.itemsize * width
     start = accessor.integer("byteOffset", 0, 0)
     if start + (count - 1) * stride + dtype.itemsize * width > len(data):
         raise accessor.wrong("count", f"data in {len(data)} bytes", f"{count}")

@@ -34,6 +34,17 @@ class Polygons(NamedTuple):
     counts: Int[np.ndarray, "F"]
 
 
+def check_corners(polygons: Polygons) -> Polygons:
+    """Return the polygons, or raise ValueError for corners that are no points, or not finite."""
+    points, corners, _ = polygons
+    if corners.size and not 0 <= np.min(corners) <= np.max(corners) < len(points):
+        got = f"{np.min(corners)} to {np.max(corners)}"
+        raise ValueError(f"expected faces with vertices 0 to {len(points) - 1}, got {got}")
+    if not (np.all(np.isfinite(points)) or np.all(np.isfinite(points[corners]))):
+        raise ValueError("expected finite vertices, got NaN or infinity")
+    return polygons
+
+
 def merge(parts: Iterable[tuple[Polygons, np.ndarray]]) -> Polygons:
     """Return parts as one, each moved to its place (4, 4); a mirror turns its polygons round.
 
@@ -45,8 +56,7 @@ def merge(parts: Iterable[tuple[Polygons, np.ndarray]]) -> Polygons:
         total += number + len(part.corners)
         if total > MOST_CORNERS:
             raise ValueError(f"expected at most {MOST_CORNERS} corners in all, got more")
-        if part.corners.size and not 0 <= np.min(part.corners) <= np.max(part.corners) < number:
-            raise ValueError(f"expected indices of {number} vertices, got {np.max(part.corners)}")
+        check_corners(part)
         still = np.array_equal(place, np.eye(4))
         points.append(part.points if still else part.points @ place[:3, :3].T + place[:3, 3])
         step = -1 if np.linalg.det(place[:3, :3]) < 0 else 1

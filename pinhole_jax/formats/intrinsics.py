@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,13 +14,11 @@ from .._numerics.arrays import Input
 from .cameras import KIND, chosen
 from .colmap import colmap_intrinsics
 from .native import camera_from_fields
-from .opencv import opencv_intrinsics
+from .opencv import known_name, opencv_intrinsics
 from .pinhole import OPENGL, Pinhole, camera_from_pinhole, pinhole
 from .unknown import CAMCHAIN, unknown
 
-#: Names of a matrix K, nine numbers or fx, fy, cx, cy; of these one by one; of coefficients.
-MATRIX = ("camera_matrix", "cameraMatrix", "K", "k", "cam_K", "intrinsics", "intrinsic",
-          "intrinsic_matrix", "camera_intrinsics")  # fmt: skip
+#: Names of fx, fy, cx, cy, and of coefficients, one by one.
 FOCAL = ("f", "focal", "focal_length", "focal_px", "focallength_px")
 NUMBERS = (("fx", "fl_x", *FOCAL), ("fy", "fl_y", *FOCAL), ("cx",), ("cy",))
 COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
@@ -68,7 +65,11 @@ def read_intrinsics(
     if fields.data.keys() >= OWN:
         own = camera_from_fields(fields)
         return _unplaced(pinhole(own, distorted=True), own.distortion, fields)
-    return _unplaced(*opencv_intrinsics(fields, size, pixel_centres), fields)
+    view, distortion = opencv_intrinsics(fields, size, pixel_centres)
+    if 0 < view.fx < LEAST_PX:
+        words = f"fx = {view.fx:g}: of a picture whose sides count as 1? Multiply by its size"
+        raise fields.wrong("K", "px", words)
+    return _unplaced(view, distortion, fields)
 
 
 def _unplaced(view: Pinhole, distortion: Distortion | None, fields: Fields) -> Camera:
@@ -100,33 +101,12 @@ def _fields(place: Path, camera: str | None) -> Fields:
     bent = {name: data.pop(name) for name in COEFFICIENTS if data.get(name) is not None}
     if any(bent.values()):
         data["distortion_coefficients"] = bent
-    data["camera_matrix"] = _matrix(data, fields)
-    return Fields(data, fields.where)
-
-
-def _matrix(data: dict[str, Any], file: Fields) -> Any:
-    """Return K (3, 3) of a file's fields, which are taken out of `data`."""
-    name = next((name for name in MATRIX if name in data), None)
-    if name is not None:
-        value = data.pop(name)
-        value = value.get("data", value) if isinstance(value, Mapping) else value
-    else:
+    if "camera_matrix" not in map(known_name, data):
         names = [next((n for n in known if n in data), known[0]) for known in NUMBERS]
         if missing := [name for name in names if name not in data]:
-            got = unknown(file.data) or f"no {', no '.join(missing)}"
-            raise file.wrong("path", "K, or fx, fy, cx, cy (px)", got)
+            got = unknown(fields.data) or f"no {', no '.join(missing)}"
+            raise fields.wrong("path", "K, or fx, fy, cx, cy (px)", got)
+        data["camera_matrix"] = [data[name] for name in names]
         if "fl_x" in names:  # NeRF's
             data["pixel_centres"] = "half"
-        value = [data[name] for name in names]
-        for name in {*names}:
-            del data[name]
-    numbers = Fields({"K": np.ravel(value).tolist()}, file.where).array("K", (-1,))
-    if len(numbers) == 4:
-        fx, fy, cx, cy = numbers
-        numbers = np.array([fx, 0, cx, 0, fy, cy, 0, 0, 1])
-    if len(numbers) != 9:
-        raise file.wrong("K", "3 x 3 numbers, or fx, fy, cx, cy", f"{len(numbers)} numbers")
-    if 0 < numbers[0] < LEAST_PX:
-        words = f"fx = {numbers[0]:g}: of a picture whose sides count as 1? Multiply by its size"
-        raise file.wrong("K", "px", words)
-    return numbers.reshape(3, 3).tolist()
+    return Fields(data, fields.where)

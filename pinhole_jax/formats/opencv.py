@@ -33,7 +33,7 @@ from .unknown import unknown
 
 #: The names under which a field is known; case, underscores, dots and hyphens do not count.
 NAMES = {
-    "camera_matrix": "cameramatrix k",
+    "camera_matrix": "cameramatrix k camk intrinsics intrinsic intrinsicmatrix cameraintrinsics",
     "distortion_coefficients": "distortioncoefficients distortioncoeffs distortioncoeff"
     " distortioncoef distortionparameters distortionparams distortion distortions distcoeffs"
     " distcoeff distcoefs distcoef dist d",
@@ -47,6 +47,7 @@ NAMES = {
     "pixel_centres": "pixelcentres",
 }
 PLAIN_NAMES = {plain: name for name, known in NAMES.items() for plain in known.split()}
+POSES = ("extrinsic_parameters", "rvec", "R")
 #: What looks like coefficients of a lens, one number or several, under a name that is not known.
 LENS_NUMBER = re.compile(r"(.*[_.\-\s])?([kp][1-6]|xi)", re.I)
 LENS_NUMBERS = re.compile(
@@ -104,7 +105,11 @@ def read_opencv(
     """
     from . import storage  # PyYAML: of no use to who reads other files
 
-    fields = _known(storage.load(path))
+    file = storage.load(path)
+    named = {known_name(key) for key in file.data}
+    if named.isdisjoint(POSES) and (whose := unknown(file.data)):
+        raise ValueError(f"`path`: expected OpenCV's calibration, got {whose} (in {file.where})")
+    fields = _known(file)
     view, distortion = _intrinsics(fields, size, pixel_centres)
     poses = _poses(fields)
     names = [str(k) for k in range(len(poses))] if len(poses) > 1 else ["camera"]
@@ -188,11 +193,8 @@ def _known(file: Fields) -> Fields:
     from . import storage
 
     known: dict[str, Any] = {}
-    named = {key: PLAIN_NAMES.get(_plain(key)) for key in file.data}
-    if "camera_matrix" not in named.values() and (whose := unknown(file.data)):
-        raise ValueError(f"`path`: expected OpenCV's calibration, got {whose} (in {file.where})")
     for key, value in file.data.items():
-        name = named[key]
+        name = known_name(key)
         if isinstance(value, str | None) and value in NULLS:
             continue
         if name is None:
@@ -209,6 +211,11 @@ def _known(file: Fields) -> Fields:
             flat = name != "extrinsic_parameters" and 1 in Fields({name: value}, "").shape(name)
             known[name] = np.ravel(value) if flat else value
     return Fields(known, file.where)
+
+
+def known_name(key: Any) -> str | None:
+    """Return the name of `NAMES` that a field's name stands for, if it is known."""
+    return PLAIN_NAMES.get(_plain(key))
 
 
 def _plain(key: Any) -> str:
@@ -246,7 +253,7 @@ def _check_no_lens(file: Fields, key: str, value: Any) -> None:
 
 def _poses(fields: Fields) -> list[Pose]:
     """Return camera_from_world of every view."""
-    kinds = [name for name in ("extrinsic_parameters", "rvec", "R") if name in fields]
+    kinds = [name for name in POSES if name in fields]
     if not kinds:
         words = "no pose: intrinsics alone are no camera; see `from_opencv` (or --K FILE)"
         raise fields.wrong("R", "R and t, or extrinsic_parameters", words)

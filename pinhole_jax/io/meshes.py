@@ -3,12 +3,11 @@
 import os
 import warnings
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
 from .._files.paths import existing_file, reason
-from .._mesh_files import MESH_ENDINGS, Polygons, read_polygons, triangulate
+from .._mesh_files import MESH_ENDINGS, check_corners, read_polygons, triangulate
 from .._scene.scene import Mesh, rounding_warning
 from .._scene.topology import by_place
 
@@ -52,23 +51,14 @@ def load_mesh(path: str | os.PathLike[str], say: Callable[[str], object] | None 
         words = f"expected one of {', '.join(MESH_ENDINGS)}, got {file.name!r}"
         hint = "; export it as STL" if file.suffix.lower() in SOLIDS else ""
         raise ValueError(f"`path`: {words}{hint}")
-    if file.stat().st_size == 0:
-        raise ValueError(f"`path`: expected a mesh file, got {str(path)!r}: empty")
     try:
-        polygons = read_polygons(file)
-    except Exception as error:  # whatever a reader meets that it did not expect
-        raise ValueError(
-            f"`path`: expected a readable mesh, got {str(path)!r}: {reason(error)}"
-        ) from error
-    _check_corners(polygons, path)
-    try:
+        polygons = check_corners(read_polygons(file))
         faces = triangulate(polygons)
-    except ValueError as error:
-        raise ValueError(
-            f"`path`: expected polygons that can be cut, got {str(path)!r}: {error}"
-        ) from error
-    if not len(faces):
-        raise ValueError(f"`path`: expected a mesh with faces, got {str(path)!r}: none")
+        if not len(faces):
+            raise ValueError("no faces")
+    except Exception as error:  # whatever a reader meets that it did not expect
+        words = f"expected a readable mesh, got {str(path)!r}: {reason(error)}"
+        raise ValueError(f"`path`: {words}") from error
     merged, place = weld(polygons.points, faces)
     merged = merged.astype(float)
     try:
@@ -82,17 +72,6 @@ def load_mesh(path: str | os.PathLike[str], say: Callable[[str], object] | None 
         words = f"`path`: {words}{cure} (in {str(path)!r})"
         warnings.warn(words, stacklevel=2) if say is None else say(words)
     return mesh
-
-
-def _check_corners(polygons: Polygons, path: Any) -> None:
-    points, corners, _ = polygons
-    if corners.size and not (corners.min() >= 0 and corners.max() < len(points)):
-        raise ValueError(
-            f"`path`: expected faces with vertices 0 to {len(points) - 1}, got {str(path)!r}:"
-            f" {corners.min()} to {corners.max()}"
-        )
-    if not (np.all(np.isfinite(points)) or np.all(np.isfinite(points[corners]))):
-        raise ValueError(f"`path`: expected finite vertices, got {str(path)!r}: NaN or infinity")
 
 
 def weld(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
