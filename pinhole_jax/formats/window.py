@@ -1,11 +1,10 @@
 """Crops and resizes of a camera's image."""
 
-import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
-from .._camera.camera import Camera, check_camera, focal_px, principal_point
-from .._camera.lens import Lens
-from .._numerics.arrays import ArrayLike, Input, float_array, is_concrete
+from .._camera.camera import Camera, check_camera, resolution
+from .._numerics.arrays import ArrayLike, Input, float_array
 
 
 def cropped(
@@ -26,16 +25,10 @@ def cropped(
     ```
     """
     check_camera(camera)
-    plain = camera.replace(W=W, H=H, lens=None)  # checks W and H
-    x0, y0 = (
+    corner = [
         float_array(name, x, (), camera.e.dtype) for name, x in (("left", left), ("top", top))
-    )
-    plain = plain.replace(phi=2 * jnp.arctan(jnp.tan(camera.phi / 2) * (H / camera.H)))
-    centred = is_concrete(x0, y0) and (2 * x0 + W, 2 * y0 + H) == (camera.W, camera.H)
-    if camera.lens is None and centred:
-        return plain
-    x, y = principal_point(camera)
-    return plain.replace(lens=_lens(camera, x - x0, y - (camera.H - H - y0)))
+    ]
+    return _filmed(camera, camera.K.at[:2, 2].add(0.5 - jnp.stack(corner)), W, H)
 
 
 def resized(camera: Camera, W: Input[int, "px"], H: Input[int, "px"]) -> Camera:
@@ -50,14 +43,13 @@ def resized(camera: Camera, W: Input[int, "px"], H: Input[int, "px"]) -> Camera:
     ```
     """
     check_camera(camera)
-    plain = camera.replace(W=W, H=H, lens=None)  # checks W and H
-    if camera.lens is None and W * camera.H == H * camera.W:
-        return plain
-    (x, y), wider, taller = principal_point(camera), W / camera.W, H / camera.H
-    return plain.replace(lens=_lens(camera, x * wider, y * taller, wider / taller))
+    factors = resolution("W", W) / camera.W, resolution("H", H) / camera.H, 1
+    K = camera.K.at[:2, 2].add(0.5)
+    return _filmed(camera, K * jnp.asarray(factors, K.dtype)[:, None], W, H)
 
 
-def _lens(camera: Camera, x: jax.Array, y: jax.Array, stretch: float = 1.0) -> Lens:
-    """Return the lens with its principal point at (x, y) px, its pixels stretched."""
-    fx, fy = focal_px(camera)
-    return Lens(jnp.stack([x, y]), fx / fy * stretch, camera.distortion)
+def _filmed(camera: Camera, K: Float[Array, "3 3"], W: int, H: int) -> Camera:
+    """Return the camera with another film of W x H px, whose pixel centres lie at halves."""
+    lens = {"pixel_centres": "half", "distortion": camera.distortion}
+    film = Camera.from_K(K, camera.R, camera.t, W, H, **lens)
+    return camera.replace(W=W, H=H, phi=film.phi, lens=film.lens)
