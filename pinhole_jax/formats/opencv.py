@@ -261,21 +261,18 @@ def _poses(fields: Fields) -> list[Pose]:
     others += ["t"] if name == "extrinsic_parameters" and "t" in fields else []
     if others:
         raise fields.wrong(name, "one kind of pose", f"both it and {others[0]}")
+    if name == "R" and fields.shape(name) != (3,):
+        matrix = np.c_[fields.array(name, (3, 3)), fields.array("t", (3,))]
+        return [pose_from_matrix(matrix, fields, name)]
     if name == "extrinsic_parameters":
         rows = fields.array(name, (-1, 6))
-        return [rigid(_rotation(row[:3], fields, name), row[3:]) for row in rows]
-    t = fields.array("t", (3,))
-    if name == "rvec" or fields.shape(name) == (3,):
-        return [rigid(_rotation(fields.array(name, (3,)), fields, name), t)]
-    return [pose_from_matrix(np.c_[fields.array(name, (3, 3)), t], fields, name)]
-
-
-def _rotation(rvec: np.ndarray, fields: Fields, name: str) -> np.ndarray:
-    if np.any(np.abs(rvec) > MOST_ANGLE):
-        raise fields.wrong(name, f"a turn of at most {MOST_ANGLE:g} rad", rvec)
+    else:
+        rows = np.r_[fields.array(name, (3,)), fields.array("t", (3,))][None]
+    if np.any(np.abs(rows[:, :3]) > MOST_ANGLE):
+        raise fields.wrong(name, f"a turn of at most {MOST_ANGLE:g} rad", rows)
     from scipy.spatial.transform import Rotation
 
-    return Rotation.from_rotvec(rvec).as_matrix()
+    return [rigid(Rotation.from_rotvec(row[:3]).as_matrix(), row[3:]) for row in rows]
 
 
 def _distortion(fields: Fields) -> Distortion | None:
