@@ -136,11 +136,11 @@ def opencv_intrinsics(
 def _intrinsics(
     fields: Fields, size: Size | None, pixel_centres: str | None
 ) -> tuple[Pinhole, Distortion | None]:
-    fields.get("camera_matrix", "K (3, 3)")
     centres = fields.text("pixel_centres", ("integer", "half"), "integer")
     half = half_pixel(centres if pixel_centres is None else pixel_centres)
+    view = read_matrix(fields, "camera_matrix", 1, 1, half)
     W, H = fields.size("image_width", "image_height", size)
-    return read_matrix(fields, "camera_matrix", W, H, half), _distortion(fields)
+    return view._replace(W=W, H=H), _distortion(fields)
 
 
 def write_opencv(
