@@ -29,8 +29,7 @@ from ._halves import (
     outline_halves as outline_halves,
     split_check as split_check,
 )
-from ._joint.fit_cameras import fit_cameras as fit_cameras
-from ._joint.fit_joint import fit_joint as fit_joint
+from ._joint.fit_joint import fit_cameras as fit_cameras, fit_joint as fit_joint
 from ._joint.joint_fit import JointFit as JointFit
 from ._joint.joint_observability import joint_observability as joint_observability
 from ._joint.views import JointView as JointView

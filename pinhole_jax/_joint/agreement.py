@@ -13,10 +13,11 @@ Views weighed by their G (Hansen's generalised moments, 1982) were tried in plac
 robot's ten masks the eye moved by 6 mm with where the descent began, and it was no nearer.
 """
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -28,8 +29,7 @@ from .._solver.parameters import components
 from .._solver.problem import FINE_PX, UNIT_PX
 from .._solver.solver import Solver
 from .._solver.uncertainty import BLIND
-from .estimates import Estimates, forget
-from .system import JointProblem, ViewRows
+from .system import Estimates, JointProblem, Part, ViewRows
 
 #: Degrees of freedom of the t distribution of views' residuals: a few bad views count for little.
 #: (With 1 a view 3 times as far off as the middle one has a fifth of the weight, one 10 times a
@@ -43,14 +43,10 @@ NORMAL_95 = 1.959964
 DESIGNS = (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0, 4096.0)
 #: What of a covariance of gradients counts as nothing, beside its largest.
 NOTHING = 1e-10
-
-
-class _Error(NamedTuple):
-    """An error of the right-hand side, `by` (c, n) of the unknowns `columns`: its covariance."""
-
-    columns: np.ndarray
-    by: np.ndarray
-    covariance: np.ndarray
+#: A parameter moves along a direction if by more than this share of the largest move.
+HARDLY = 1e-6
+#: A smaller share of the information on what is shared is rounding.
+CLEAR = 1e-11
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,33 +54,47 @@ class Agreement:
     """Where the weighed views' squares are least, and how well these agree.
 
     - `problem`, with the weights of views (V,), at most 1; `descent`: the state, and views there.
-    - `solved`: what determines the unknowns; `gradients`: the covariance of each view's J^T r.
+    - `held` (size,): whether an unknown is at an end of its bounds: nothing determines it.
+    - `gradients`: the covariance of each view's J^T r.
     - `excess`: how many times as far apart the views are as their masks' errors say; at least 1.
     - `freedom`: how many numbers say so.
     - `off` (V,): each view's residuals beside the middle one's.
     - `errors`: how each mask's outline errs, None where it is exact, and explained.
-    - `prior_rows`: those of priors, which err by `noise`.
+    - `noise`: what the rows of priors err by.
     - `sigma` (V,): how surely each view disagrees with the others, as of one normal number.
     """
 
     problem: JointProblem
     descent: Descent
-    solved: LinearSolution
+    held: np.ndarray
     gradients: list[np.ndarray]
     excess: float
     freedom: int
     off: np.ndarray
     errors: list[OutlineErrors | None]
-    prior_rows: list[Rows]
     noise: float
     sigma: np.ndarray
 
     def without(self, view: int) -> "Agreement":
         """The agreement of the other views, and priors, by themselves."""
         weights = np.where(np.arange(len(self.off)) == view, 0.0, self.problem.weights)
-        problem = replace(self.problem, weights=weights)
-        solved = _solve(problem, self.descent.seen, self.prior_rows)
-        return replace(self, problem=problem, solved=solved)
+        return replace(self, problem=replace(self.problem, weights=weights))
+
+    @cached_property
+    def parts(self) -> list[Rows]:
+        """The rows of the views, then those of priors."""
+        parts = self.problem.parts(self.descent.state, self.descent.seen, self.noise)
+        return [part.without(self.held) for part in parts]
+
+    @property
+    def prior_rows(self) -> list[Rows]:
+        """The rows of priors, which err by `noise`."""
+        return self.parts[len(self.off) :]
+
+    @cached_property
+    def solved(self) -> LinearSolution:
+        """What determines the unknowns."""
+        return solve(self.parts, self.problem.size, np.zeros(self.problem.size))
 
     @property
     def wider(self) -> float:
@@ -103,17 +113,15 @@ class Agreement:
     def covariance(self, place: np.ndarray) -> np.ndarray:
         """The covariance (p, p) of some unknowns that the masks' errors, and priors, leave (the
         sandwich of Huber 1967, a view at a time)."""
-        return self._by_masks.covariance(place) + self._by_priors.covariance(place, self.noise**2)
+        return self._by_masks.covariance(place)
 
     def independent(self, place: np.ndarray) -> np.ndarray:
         """The covariance (p, p) were the residuals independent and of one variance."""
-        sums = [s.view.sums for s in self.descent.seen]
-        squares = sum(float(s.touched_squares) for s in sums)
-        count = sum(float(s.touched) for s in sums) - self.problem.size
-        variance = squares / max(count, 1)
-        variance = max(variance, *(eye.solver.kind.least for eye in self.problem.eyes))
-        by_masks = variance * self.solved.inverse(place, place)
-        return by_masks + self._by_priors.covariance(place, self.noise**2 - variance)
+        return self._by_pixels.covariance(place)
+
+    def estimates(self, parts: Sequence[Part]) -> Estimates:
+        """The numbers by which unknowns are reported."""
+        return self.problem.estimates(parts, self.descent.state, self.descent.seen)
 
     def covariance_of(self, estimates: Estimates, independent: bool = False) -> np.ndarray:
         """The covariance (p, p) of reported numbers; infinite, with no covariances, where they move
@@ -131,52 +139,63 @@ class Agreement:
 
     @cached_property
     def _by_masks(self) -> "_Sandwich":
-        """The covariance as the masks' own errors, widened, make it."""
         views = zip(self.descent.seen, self.gradients, self.problem.weights, strict=True)
-        errors = [
-            _Error(self.problem.columns(k), weight * seen.moves.T, self.wider * gradient)
-            for k, (seen, gradient, weight) in enumerate(views)
-        ]
-        return _Sandwich(self.solved, errors)
+        roots = []
+        for seen, gradient, weight in views:
+            values, vectors = np.linalg.eigh(self.wider * weight**2 * gradient)
+            roots.append(seen.moves.T @ vectors * np.sqrt(np.maximum(values, 0)))
+        return self._sandwich(roots)
 
     @cached_property
-    def _by_priors(self) -> "_Sandwich":
-        errors = [_Error(p.columns, p.rows.T, np.eye(len(p.left))) for p in self.prior_rows]
-        return _Sandwich(self.solved, errors)
+    def _by_pixels(self) -> "_Sandwich":
+        sums, eyes = [seen.view.sums for seen in self.descent.seen], self.problem.eyes
+        squares = sum(float(s.touched_squares) for s in sums)
+        count = max(sum(float(s.touched) for s in sums) - self.problem.size, 1)
+        variance = max(squares / count, *(eye.solver.kind.least for eye in eyes))
+        return self._sandwich([variance**0.5 * part.rows.T for part in self.parts[: len(eyes)]])
+
+    def _sandwich(self, of_views: list[np.ndarray]) -> "_Sandwich":
+        roots = *of_views, *(self.noise * part.rows.T for part in self.prior_rows)
+        return _Sandwich(self.solved, [*zip([p.columns for p in self.parts], roots, strict=True)])
 
 
 class _Sandwich:
-    """The unknowns' covariance by errors of the right-hand side.
+    """The unknowns' covariance by errors of the right-hand side: some columns, and the root of the
+    covariance there of each.
 
     By those of the shared ones it is summed up once: a block's own unknowns follow these, and only
     the errors of its own views come to that. So the covariances of all blocks cost as much as there
     are views.
     """
 
-    def __init__(self, solved: LinearSolution, errors: Sequence[_Error]):
-        self._solved, self._of_block = solved, dict[int, list[_Error]]()
-        s = len(solved.shared)
+    def __init__(self, solved: LinearSolution, roots: list[tuple[np.ndarray, np.ndarray]]):
+        self._solved, self._of_block = solved, defaultdict[int, list[Any]](list)
         back = np.linalg.pinv(solved.triangle)
-        self._all, self._shared = np.zeros((s, s)), dict[int, np.ndarray]()
-        for error in errors:
-            influence = back @ (solved.by_shared(error.columns) @ back).T @ error.by
-            part = influence @ error.covariance @ influence.T
-            self._all += part
-            for block in solved.owners(error.columns):
-                self._of_block.setdefault(block, []).append(error)
-                self._shared[block] = self._shared.get(block, 0) + part
+        self._shared = np.zeros(back.shape)
+        for columns, root in roots:
+            influence = back @ (solved.by_shared(columns) @ back).T @ root
+            self._shared += influence @ influence.T
+            for block in solved.owners(columns):
+                self._of_block[block].append((columns, root, influence))
 
-    def covariance(self, place: np.ndarray, times: float = 1.0) -> np.ndarray:
-        """The covariance (p, p) of some unknowns, by errors with `times` the covariance."""
-        solved = self._solved
-        own = [block for block in solved.owners(place) if block in self._of_block]
-        by_shared = solved.by_shared(place)
-        others = self._all - sum((self._shared[block] for block in own), np.zeros_like(self._all))
-        result = by_shared @ others @ by_shared.T
-        for error in (error for block in own for error in self._of_block[block]):
-            influence = solved.inverse(place, error.columns) @ error.by
-            result += influence @ error.covariance @ influence.T
-        return times * result
+    def covariance(self, place: np.ndarray) -> np.ndarray:
+        """The covariance (p, p) of some unknowns."""
+        by_shared = self._solved.by_shared(place)
+        result = by_shared @ self._shared @ by_shared.T
+        for block in self._solved.owners(place):
+            for columns, root, influence in self._of_block[block]:
+                whole, part = self._solved.inverse(place, columns) @ root, by_shared @ influence
+                result += whole @ whole.T - part @ part.T
+        return result
+
+
+def forget(covariance: np.ndarray, unseen: np.ndarray) -> None:
+    """Put infinite variances, and no covariances, where numbers move along directions (p, d) that
+    change no mask."""
+    most = np.max(np.abs(unseen), axis=0, initial=0)
+    lost = np.any(np.abs(unseen) > HARDLY * np.maximum(most, 1e-300), axis=1)
+    covariance[lost, :] = covariance[:, lost] = np.nan
+    covariance[lost, lost] = np.inf
 
 
 def width_by_few(freedom: float) -> float:
@@ -185,6 +204,22 @@ def width_by_few(freedom: float) -> float:
     from scipy.stats import t
 
     return float(t.ppf(0.975, freedom)) / NORMAL_95
+
+
+def known_by_others(solved: LinearSolution, part: Rows, shared: np.ndarray) -> np.ndarray:
+    """Residuals (s, s) of all other parts by the unknowns that a part shares with them (which of
+    its columns): their information is that of all, less the part's, its own unknowns eliminated."""
+    own, m = part.rows[:, ~shared], int(np.sum(~shared))
+    r: Any = np.linalg.qr(np.column_stack([own, part.rows[:, shared]]), mode="r")
+    columns = part.columns[shared]
+    inverse = solved.inverse(columns, columns)
+    spread = np.sqrt(np.diag(inverse))
+    unit = np.where(spread > 0, 1 / np.where(spread > 0, spread, 1), 0)
+    total = np.linalg.pinv(inverse * np.outer(unit, unit), CLEAR, hermitian=True)
+    rest = r[m:, m:] * spread
+    values, vectors = np.linalg.eigh(total - rest.T @ rest)
+    values = np.where(values > CLEAR * np.max(np.abs(total), initial=0), values, 0)
+    return np.sqrt(values)[:, None] * vectors.T * unit
 
 
 def agree(
@@ -223,47 +258,34 @@ def weigh_priors(problem: JointProblem, found: Descent) -> JointProblem:
 
 def _agreement(problem: JointProblem, found: Descent, counts: np.ndarray) -> Agreement:
     """The agreement of weighed views; those that agree had the weights `counts`."""
-    # What is at an end of its bounds, nothing determines.
-    held = problem.ways_out(found.state, found.seen) != 0
-    seen = [
-        s._replace(moves=np.where(held[problem.columns(k)], 0.0, s.moves))
-        for k, s in enumerate(found.seen)
-    ]
-    noise = problem.noise(seen)
-    prior_rows = problem.prior_rows(found.state, seen, noise)
+    noise = problem.noise(found.seen)
+    prior_rows = problem.prior_rows(found.state, found.seen, noise)
     rows = []
-    for eye, s in zip(problem.eyes, seen, strict=True):
-        errors = mask_errors(eye.solver, s.view)
-        gradient = _gradient(eye.solver, s, errors)
-        misfit = max(s.view.touched_misfit, eye.solver.kind.least)
+    for eye, seen in zip(problem.eyes, found.seen, strict=True):
+        errors = mask_errors(eye.solver, seen.view)
+        gradient = _gradient(eye.solver, seen, errors)
+        misfit = max(seen.view.touched_misfit, eye.solver.kind.least)
         felt = 1.0 if errors is None else errors.felt
-        rows.append((errors, gradient, misfit, *_distance(eye.solver, s, gradient * felt**2)))
+        rows.append((errors, gradient, misfit, *_distance(eye.solver, seen, gradient * felt**2)))
     errors, gradients, misfits, squares, ranks = map(list, zip(*rows, strict=True))
 
     freedom = sum(ranks) + sum(len(part.left) for part in prior_rows) - problem.size
-    freedom = max(freedom, 1)
     of_priors = sum(part.squares for part in prior_rows) / noise**2
-    excess = max((float(problem.weights @ np.array(squares)) + of_priors) / freedom, 1.0) ** 0.5
+    apart = float(problem.weights @ np.array(squares)) + of_priors
+    several = len(rows) > 1  # (One view has none that it could differ from.)
     misfit = np.array(misfits) * counts
-    prior_rows = [part.without(held) for part in prior_rows]
     return Agreement(
         problem=problem,
-        descent=found._replace(seen=seen),
-        solved=_solve(problem, seen, prior_rows),
+        descent=found,
+        held=problem.ways_out(found.state, found.seen) != 0,
         gradients=gradients,
-        excess=excess if len(seen) > 1 else 1.0,  # (One view has none that it could differ from.)
-        freedom=freedom,
+        excess=max(apart / max(freedom, 1), 1.0) ** 0.5 if several else 1.0,
+        freedom=max(freedom, 1),
         off=(misfit / np.median(misfit)) ** 0.5,
         errors=errors,
-        prior_rows=prior_rows,
         noise=noise,
         sigma=np.array([*map(_sigma, squares, ranks)]),
     )
-
-
-def _solve(problem: JointProblem, seen: list[ViewRows], prior_rows: list[Rows]) -> LinearSolution:
-    rows = [problem.view_rows(k, s).times(problem.weights[k] ** 0.5) for k, s in enumerate(seen)]
-    return solve([*rows, *prior_rows], problem.size, np.zeros(problem.size))
 
 
 def _sigma(squares: float, rank: float) -> float:

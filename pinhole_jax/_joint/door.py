@@ -1,11 +1,15 @@
 """The arguments of a joint fit, checked, and the problem that they make."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 
 from .._camera.camera import Camera, check_camera
+from .._camera.distortion import COEFFICIENTS
 from .._camera.poses import Pose, check_pose, inverse, pose_of
 from .._fit.fit_camera import check_border, check_reach, check_steps
 from .._fit.photo import check_photo
@@ -15,17 +19,25 @@ from .._mask.target import check_target, levelled
 from .._scene.assembly import Posture
 from .._scene.scene import check_scene
 from .._solver.moves import canonical
-from .._solver.parameters import components
+from .._solver.parameters import (
+    PARAMETERS,
+    as_names,
+    check_free,
+    components,
+    in_one,
+    with_lens,
+)
 from .._solver.solver import Solver
 from .._solver.subject import Subject
 from .knowledge import bounds_by_name, priors_of, scales_of, zeros_of
-from .lenses import with_shared
 from .system import JointProblem
-from .views import MOTIONS, POSE, SCALE, TWIST, Eye, JointView, State, Unknown
+from .views import MOTIONS, POSE, SCALE, Eye, JointView, State, Unknown
 
 #: From this many views on, small masks have pyramids of few cells (MB less for each of them, and a
 #: program more for all): 14 MB are 14 GB of a thousand.
 MANY_VIEWS, FEW_CELLS = 32, 1 << 13
+#: What views may share.
+SHARED = tuple(name for name, row in PARAMETERS.items() if row.shared)
 #: The name of the pose that all cameras of a rig share.
 RIG = "rig"
 
@@ -59,14 +71,15 @@ def joint_problem(
     poses, places = _poses("objects", objects), _poses("rig", rig)
     _check_names(views, cameras, poses, places)
 
-    parts = [*poses]
     freed, groups, cameras = with_shared(cameras, free, shared)
     lens = [name for name in freed if name not in MOTIONS]
-    first = {row: {n: g[0] for g in groups[row] for n in g} for row in groups}
-    owners = {n: {row: first.get(row, {}).get(n, n) for row in lens} for n in cameras}
+    first = lambda name, row: next((g[0] for g in groups.get(row, ()) if name in g), name)
+    owners = {name: {row: first(name, row) for row in lens} for name in cameras}
     limits = bounds_by_name(bounds, cameras, freed, owners)
+    moving = {name: RIG if name in places else name for name in cameras}
+    start = State(poses, {n: canonical(c) for n, c in cameras.items()}, scales_of(prior, views), {})
+    unknowns = _unknowns(freed, owners, moving, start)
 
-    moving = {n: RIG if n in places else n for n in cameras}
     cells = LEAST_CELLS if len(views) < MANY_VIEWS else FEW_CELLS
     options = {"continued": outlier_px is not None, "cells": cells}
     # (A scene's arrays are not copied for each view.)
@@ -75,60 +88,115 @@ def joint_problem(
     eyes = []
     for k, view in enumerate(views):
         name, mask = view.camera, _checked_mask(k, view, cameras, search, as_given)
+        known = ((f"views[{k}].{x}", getattr(view, x)) for x in ("mount", "placed"))
         own = subjects[id(view.scene)], mask, (POSE, *lens), max_steps, limits[name]
-        solver, place = Solver.on(*own, **options), places.get(name, np.eye(4))
-        on = owners[name], moving[name], *_transforms(k, view), place
-        eyes.append(Eye(view, mask, solver, *on))
-
-    scales = scales_of(prior, views)
+        on = moving[name], *(_pose(*pose) for pose in known), places.get(name, np.eye(4))
+        eyes.append(Eye(view, mask, Solver.on(*own, **options), owners[name], *on))
     for eye in eyes:
         poses.setdefault(eye.moving, pose_of(eye.mask.camera) @ inverse(eye.rig))
-    return JointProblem(
-        unknowns=_unknowns(freed, owners, moving, parts, [*scales]),
+    problem = JointProblem(
+        unknowns=unknowns,
         eyes=eyes,
-        priors=priors_of(prior, cameras, freed, eyes, parts, [*scales]),
-        zeros=zeros_of(joint_zeros, views),
-        start=State(poses, {n: canonical(c) for n, c in cameras.items()}, scales, {}),
+        start=start,
         cameras=cameras,
         outlier_px=outlier_px,
         max_steps=max_steps,
         weights=np.ones(len(eyes)),
+        zeros=zeros_of(joint_zeros, views),
         widens=widens,
     )
+    return replace(problem, priors=priors_of(prior, problem))
 
 
-def _transforms(k: int, view: JointView) -> tuple[Pose, Pose]:
-    """Where a view's camera is carried, and its scene placed. Raises ValueError for these."""
-    pose = lambda name, x: np.eye(4) if x is None else check_pose(f"views[{k}].{name}", x)
-    return pose("mount", view.mount), pose("placed", view.placed)
+def with_shared(
+    cameras: Mapping[str, Camera], free: Any, shared: Any
+) -> tuple[tuple[str, ...], dict[str, list[tuple[str, ...]]], dict[str, Camera]]:
+    """All free parameters, in a fixed order; groups of cameras that have a parameter in
+    common; and the cameras, alike in these, with a lens that has what is free.
+
+    Raises ValueError for names of no parameter, or of one that cannot be shared.
+    """
+    groups = _groups_of(shared, cameras)
+    names = (*groups, *as_names(free))
+    freed = in_one(check_free(names, next(iter(cameras.values())))) if names else ()
+    having = {name: with_lens(camera, freed) for name, camera in cameras.items()}
+    return freed, groups, share_means(having, groups)
+
+
+def _groups_of(shared: Any, cameras: Mapping[str, Camera]) -> dict[str, list[tuple[str, ...]]]:
+    """Groups of cameras that have a parameter in common, by its name.
+
+    `shared` are names (of all cameras), or such groups by names. Raises ValueError for others.
+    """
+    if not isinstance(shared, Mapping):
+        shared = {name: [tuple(cameras)] for name in as_names(shared, "shared")}
+    first, result = next(iter(cameras.values())), {}
+    for name, given in shared.items():
+        groups = [(group,) if isinstance(group, str) else tuple(group) for group in given]
+        named = [n for group in groups for n in group]
+        for row in check_free((name,), first):
+            if row not in SHARED:
+                known = ", ".join([*SHARED, "distortion"])
+                raise ValueError(f"`shared`: expected names among {known}, got {row}")
+            if unknown := [n for n in named if n not in cameras]:
+                words = f"expected groups of cameras among {', '.join(cameras)}, got {unknown[0]!r}"
+                raise ValueError(f"`shared`: {words}")
+            if len({*named}) < len(named):
+                raise ValueError(f"`shared`: expected each camera in one group of {row}, got more")
+            result[row] = groups
+    return result
+
+
+def share_means(
+    cameras: Mapping[str, Camera], groups: Mapping[str, list[tuple[str, ...]]]
+) -> dict[str, Camera]:
+    """The cameras with the mean of each group's shared parameters.
+
+    Raises ValueError for coefficients of different distortions.
+    """
+    result = dict(cameras)
+    for row, group in ((row, group) for row, members in groups.items() for group in members):
+        some = [result[name] for name in group]
+        kinds = {type(camera.distortion).__name__ for camera in some}
+        if len(kinds) > 1 and row in COEFFICIENTS:
+            words = f"expected distortions of one kind to share, got {' and '.join(sorted(kinds))}"
+            raise ValueError(f"`cameras`: {words}")
+        for leaf in PARAMETERS[row].leaves:
+            mean = np.mean([leaf.of(camera) for camera in some], axis=0)
+            for name in group:
+                to = result[name].e.dtype
+                result[name] = eqx.tree_at(leaf.of, result[name], jnp.asarray(mean, to))
+    return result
 
 
 def _unknowns(
     freed: tuple[str, ...],
     owners: Mapping[str, Mapping[str, str]],
     moving: Mapping[str, str],
-    objects: Sequence[str],
-    scales: Sequence[str],
+    start: State,
 ) -> list[Unknown]:
-    size = lambda name: len(components((name,)))
-    motions = [name for name in freed if name in MOTIONS]
-    poses = dict.fromkeys(moving.values())
-    result = [Unknown(name, kind, size(kind)) for name in poses for kind in motions]
-    result += [Unknown(name, POSE, TWIST) for name in objects]
-    result += [Unknown(name, SCALE, 1) for name in scales]
+    motions = [kind for kind in freed if kind in MOTIONS]
+    found = [(name, kind) for name in dict.fromkeys(moving.values()) for kind in motions]
+    found += [(name, POSE) for name in start.poses] + [(name, SCALE) for name in start.scales]
+    size = lambda kind: 1 if kind == SCALE else len(components((kind,)))
+    result = [Unknown(*key, size(key[1])) for key in found]
+    # (A view's columns are then in the order of its solver's moves.)
     for row in (name for name in freed if name not in MOTIONS):
         having: dict[str, list[str]] = {}
         for name, owner_of in owners.items():
             having.setdefault(owner_of[row], []).append(name)
-        # (A view's columns are then in the order of its solver's moves.)
         result += [Unknown(name, row, size(row), tuple(x)) for name, x in having.items()]
     if not result:
         raise ValueError("`free`: expected something to fit, got none")
     return result
 
 
+def _pose(name: str, given: Any) -> Pose:
+    return np.eye(4) if given is None else check_pose(name, given)
+
+
 def _poses(argument: str, given: Mapping[str, Any] | None) -> dict[str, Pose]:
-    return {n: check_pose(f"{argument}[{n!r}]", x) for n, x in (given or {}).items()}
+    return {name: check_pose(f"{argument}[{name!r}]", x) for name, x in (given or {}).items()}
 
 
 def _checked_cameras(cameras: Any) -> Mapping[str, Camera]:
@@ -162,26 +230,22 @@ def _check_names(
     rig: Mapping[str, Pose],
 ) -> None:
     """Raise ValueError where views name what is not given, or not all of that."""
-    for kind, known, named in (
-        ("cameras", cameras, {v.camera for v in views} | set(rig)),
-        ("objects", objects, {v.object for v in views if v.object is not None}),
-    ):
-        if missing := sorted(named - set(known)):
+    taken, shown, sizes = ({getattr(v, x) for v in views} for x in ("camera", "object", "scale"))
+    shown, of_cameras = shown - {None}, {*cameras, *([RIG] if rig else [])}
+    for kind, known, named in (("cameras", cameras, taken | {*rig}), ("objects", objects, shown)):
+        if missing := sorted(named - {*known}):
             have = ", ".join(known) or "none"
             raise ValueError(f"`{kind}`: expected {', '.join(missing)} among them, got {have}")
-        if idle := sorted(set(known) - named):
-            raise ValueError(f"`{kind}`: expected names that a view uses, got {', '.join(idle)}")
-    if blind := sorted(set(rig) - {v.camera for v in views}):
-        raise ValueError(f"`rig`: expected cameras that a view names, got {', '.join(blind)}")
-    if rig and RIG in cameras:
-        raise ValueError(f"`cameras`: expected names other than {RIG!r} with a rig, got it")
-    of_cameras = {*cameras, *([RIG] if rig else [])}
-    if both := sorted(of_cameras & set(objects)):
-        raise ValueError(f"`objects`: expected names of their own, got {', '.join(both)}")
-    for k, view in enumerate(views):
-        if view.scale in of_cameras:
-            words = f"expected a name that no camera has, got {view.scale!r}"
-            raise ValueError(f"`views[{k}].scale`: {words}")
+    for argument, words, wrong in (
+        ("cameras", "names that a view uses", {*cameras} - taken - {*rig}),
+        ("objects", "names that a view uses", {*objects} - shown),
+        ("rig", "cameras that a view names", {*rig} - taken),
+        ("cameras", f"names other than {RIG!r} with a rig", {RIG} & {*cameras} if rig else ()),
+        ("objects", "names of their own", of_cameras & {*objects}),
+        ("views", "names of scales that no camera has", of_cameras & sizes),
+    ):
+        if wrong:
+            raise ValueError(f"`{argument}`: expected {words}, got {', '.join(sorted(wrong))}")
 
 
 def _checked_mask(

@@ -13,9 +13,8 @@ from .._solver.priors import Pair
 from .._solver.problem import UNIT_PX
 from .._solver.uncertainty import BLIND, sentence
 from .door import joint_problem
-from .estimates import all_estimates
-from .system import JointProblem
-from .views import MOTIONS, JointView
+from .system import Estimates, JointProblem, ViewRows
+from .views import MOTIONS, SCALE, ZERO, JointView, State
 
 #: An unknown's part in a direction is named if it is no smaller.
 CHIEF = 0.35
@@ -61,7 +60,7 @@ def joint_observability(
     for part in problem.parts(state, seen, noise):
         tables.append(part.rows @ (np.eye(size)[part.columns] * unit))
     triangle: Any = np.linalg.qr(np.concatenate(tables), mode="r")
-    estimates = all_estimates(problem, state, [rows.view for rows in seen])
+    estimates = _estimates(problem, state, seen)
     reported = estimates.by_unknowns @ (np.eye(size)[estimates.place] * unit)
     blind = BLIND[problem.dtype]
     weak = _weak(problem, triangle, blind)
@@ -78,6 +77,16 @@ def _blank(view: Any, cameras: Any) -> Any:
     mask = np.zeros((camera.H, camera.W))
     mask[camera.H // 4 : -(camera.H // 4) or None, camera.W // 4 : -(camera.W // 4) or None] = 1
     return view._replace(target=mask, photo=None)
+
+
+def _estimates(problem: JointProblem, state: State, seen: list[ViewRows]) -> Estimates:
+    """All reported numbers, with the names of their owners before their labels."""
+    named = *problem.objects(), *problem.named(SCALE), *problem.named(ZERO)
+    owners = dict.fromkeys([*problem.cameras, *named])
+    pairs = [(owner, part) for owner in owners for part in problem.parts_of(owner)]
+    labels = tuple(f"{owner} {label}" for owner, part in pairs for label in part.labels)
+    found = problem.estimates([part for _, part in pairs], state, seen)
+    return found._replace(labels=labels)
 
 
 def _weak(problem: JointProblem, triangle: np.ndarray, blind: float) -> Iterator[str]:

@@ -6,11 +6,12 @@ The rows of a view are its R of J = QR, times how its moves follow the unknowns.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from .._camera.camera import Camera
+from .._camera.poses import Pose, adjoint, exponential, inverse
 from .._numerics.threads import in_threads
 from .._solver.least_squares import (
     Descent,
@@ -20,13 +21,29 @@ from .._solver.least_squares import (
     levenberg_marquardt,
 )
 from .._solver.looks import View
+from .._solver.parameters import LABELS, PARAMETERS, labels_of
 from .._solver.problem import COARSE_PX, FINE_PX
-from .knowledge import JointPrior
-from .views import POSE, ZERO, Eye, State, Unknown, stepped
+from .views import (
+    MOTIONS,
+    POSE,
+    SCALE,
+    TO_B,
+    TWIST,
+    ZERO,
+    Eye,
+    State,
+    Unknown,
+    indices,
+    reported_twist,
+    with_parameter,
+    with_step,
+)
 from .zeros import with_joints
 
 #: A residual errs by at least as much, where there are priors: what is exact outweighs them.
 LEAST_NOISE = 1e-3
+#: The six numbers of an object's pose, as they are reported.
+OF_OBJECT = ("rotation_x", "rotation_y", "rotation_z", "x", "y", "z")
 
 
 class ViewRows(NamedTuple):
@@ -44,6 +61,42 @@ class LevelEnd(NamedTuple):
     steps: int
 
 
+class Part(NamedTuple):
+    """An unknown as it is reported: a pose as that of a camera fixed to it at `rig`, or of an
+    object (None); film coordinates by the film's height `H` (px)."""
+
+    name: str
+    kind: str
+    rig: Pose | None = None
+    H: int = 1
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The labels of its numbers."""
+        if self.kind in (SCALE, ZERO):
+            return (self.kind,)
+        is_object = self.kind == POSE and self.rig is None
+        return OF_OBJECT if is_object else labels_of((self.kind,))
+
+
+class Estimates(NamedTuple):
+    """Reported numbers (p,): their `labels`, and their derivative (p, q) by the unknowns at a
+    `place` (q,)."""
+
+    labels: tuple[str, ...]
+    place: np.ndarray
+    by_unknowns: np.ndarray
+
+
+class JointPrior(NamedTuple):
+    """Means and standard deviations (k,) of numbers, by their labels, that report one unknown."""
+
+    part: Part
+    labels: tuple[str, ...]
+    mean: np.ndarray
+    std: np.ndarray
+
+
 @dataclass(frozen=True, eq=False)
 class JointProblem:
     """Unknowns and views, and where they begin, as `LeastSquares` on one level.
@@ -58,13 +111,13 @@ class JointProblem:
 
     unknowns: list[Unknown]
     eyes: list[Eye]
-    priors: list[JointPrior]
-    zeros: list[JointPrior]
     start: State
     cameras: Mapping[str, Camera]
     outlier_px: float | None
     max_steps: int
     weights: np.ndarray
+    zeros: Sequence[JointPrior] = ()
+    priors: Sequence[JointPrior] = ()
     widens: bool = True
     design: float = 1.0
     depth: int = 1
@@ -75,28 +128,29 @@ class JointProblem:
                 raise ValueError(f"`views[{k}]`: expected a view of something unknown, got none")
 
     @cached_property
-    def _number(self) -> dict[tuple[str, str], int]:
-        return {(u.name, u.kind): k for k, u in enumerate(self.unknowns)}
-
-    @cached_property
-    def _places(self) -> list[np.ndarray]:
+    def _places(self) -> dict[tuple[str | None, str], np.ndarray]:
+        """Indices of each unknown's numbers among all."""
         ends = np.cumsum([u.size for u in self.unknowns], dtype=int)
-        return [np.arange(end - u.size, end) for u, end in zip(self.unknowns, ends, strict=True)]
+        each = zip(self.unknowns, ends, strict=True)
+        return {(u.name, u.kind): np.arange(end - u.size, end) for u, end in each}
 
     @cached_property
     def _seen(self) -> list[list[int]]:
         """Numbers of the unknowns that each view depends on."""
-        number = self._number
+        number = {key: k for k, key in enumerate(self._places)}
         return [sorted(number[x] for x in eye.depends_on() if x in number) for eye in self.eyes]
 
     @cached_property
-    def _seen_by(self) -> dict[int, int]:
+    def _seen_by(self) -> dict[tuple[str, str], int]:
         """A view that depends on each unknown."""
-        return {j: k for k, numbers in enumerate(self._seen) for j in numbers}
+        each = enumerate(map(self.unknowns_of, range(len(self.eyes))))
+        return {(u.name, u.kind): k for k, unknowns in each for u in unknowns}
 
     @cached_property
-    def _held(self) -> np.ndarray:
-        return held_to_the_end(self._seen, [u.size for u in self.unknowns])
+    def _own(self) -> np.ndarray:
+        """Which of the numbers (size,) are eliminated before others."""
+        sizes = [u.size for u in self.unknowns]
+        return np.repeat(np.logical_not(held_to_the_end(self._seen, sizes)), sizes)
 
     @property
     def size(self) -> int:
@@ -138,12 +192,60 @@ class JointProblem:
 
     def place(self, name: str, kind: str) -> np.ndarray | None:
         """Indices of an unknown's numbers among all, None for what is none."""
-        number = self._number.get((name, kind))
-        return None if number is None else self._places[number]
+        return self._places.get((name, kind))
 
     def columns(self, k: int) -> np.ndarray:
         """Indices of the numbers that a view depends on."""
-        return np.concatenate([self._places[j] for j in self._seen[k]])
+        return np.concatenate([self._places[u.name, u.kind] for u in self.unknowns_of(k)])
+
+    # --- reports ---------------------------------------------------------------------------------
+
+    def parts_of(self, name: str) -> list[Part]:
+        """The unknowns of a camera, an object, a scale or a joint, as they are reported."""
+        if name in self.cameras:
+            eye = self.eye_of(name)[1]
+            parts = [Part(eye.moving, kind, eye.rig) for kind in MOTIONS]
+            H = lambda row: eye.mask.camera.H if PARAMETERS[row].labels[0].unit == "px" else 1
+            parts += [Part(own, row, None, H(row)) for row, own in eye.owners.items()]
+        else:
+            parts = [Part(name, kind) for kind in (POSE, SCALE, ZERO)]
+        return [part for part in parts if (part.name, part.kind) in self._places]
+
+    def report(
+        self, part: Part, state: State, seen: list[ViewRows]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The numbers (p,) by which an unknown is reported (0 for small turns), and their
+        derivative (p, n) by it."""
+        name, kind, rig, H = part
+        if kind == SCALE:  # its logarithm is the unknown
+            value = np.array([state.scales[name]])
+            return value, value[:, None]
+        if kind == ZERO:
+            return np.array([state.zeros.get(name, 0.0)]), np.eye(1)
+        if kind in MOTIONS:
+            axes, rig = (np.eye(3), np.eye(4)) if rig is None else (TO_B, rig)
+            pose, which = state.poses[name] @ rig, MOTIONS[kind]
+            by_twist = reported_twist(pose[:3, :3], axes) @ adjoint(inverse(rig))
+            return np.append(np.zeros(3), pose[:3, 3])[which], by_twist[which, which]
+        k = self._seen_by[name, kind]
+        eye, view = self.eyes[k], seen[k].view
+        labels = [LABELS[label] for label in part.labels]
+        lens, place = state.lenses[eye.shot.camera], indices(eye.solver.freed, kind)
+        values = [float(label.value(lens)) for label in labels if label.value]
+        rows = np.asarray(view.to_reported, float)[np.ix_(place, place)]
+        by_unknown = rows / np.asarray(view.scale, float)[place]
+        return H * np.array(values), H * by_unknown
+
+    def estimates(self, parts: Sequence[Part], state: State, seen: list[ViewRows]) -> Estimates:
+        """The numbers by which unknowns are reported."""
+        from scipy.linalg import block_diag
+
+        if not parts:
+            return Estimates((), np.zeros(0, int), np.zeros((0, 0)))
+        labels = tuple(label for part in parts for label in part.labels)
+        places = [self._places[part.name, part.kind] for part in parts]
+        by_unknowns: Any = block_diag(*(self.report(part, state, seen)[1] for part in parts))
+        return Estimates(labels, np.concatenate(places), by_unknowns)
 
     # --- other problems --------------------------------------------------------------------------
 
@@ -153,7 +255,7 @@ class JointProblem:
 
     def with_zeros(self) -> "JointProblem":
         """The problem in which the zeros of joints are sought, too."""
-        unknowns = [*self.unknowns, *(Unknown(prior.name, ZERO, 1) for prior in self.zeros)]
+        unknowns = [*self.unknowns, *(Unknown(prior.part.name, ZERO, 1) for prior in self.zeros)]
         return replace(self, unknowns=unknowns, priors=[*self.priors, *self.zeros])
 
     def only(self, numbers: Sequence[int], unknowns: list[Unknown]) -> "JointProblem":
@@ -164,7 +266,7 @@ class JointProblem:
             self,
             unknowns=unknowns,
             eyes=eyes,
-            priors=[prior for prior in self.priors if (prior.name, prior.kind) in known],
+            priors=[p for p in self.priors if (p.part.name, p.part.kind) in known],
             cameras={name: self.cameras[name] for name in self.cameras if name in seen_by},
             weights=np.ones(len(eyes)),
         )
@@ -177,14 +279,13 @@ class JointProblem:
     @cached_property
     def lone_poses(self) -> dict[str, list[int]]:
         """The unknown poses whose views depend on no other one, and these views."""
-        poses = [
-            [u.name for u in self.unknowns_of(k) if u.kind == POSE] for k in range(len(self.eyes))
-        ]
-        views: dict[str, list[int]] = {}
-        for k, names in enumerate(poses):
-            for name in names:
+        views, lone = dict[str, list[int]](), set(self.named(POSE))
+        for k in range(len(self.eyes)):
+            poses = [u.name for u in self.unknowns_of(k) if u.kind == POSE]
+            lone -= {*poses} if len(poses) > 1 else set()
+            for name in poses:
                 views.setdefault(name, []).append(k)
-        return {n: numbers for n, numbers in views.items() if all(poses[k] == [n] for k in numbers)}
+        return {name: numbers for name, numbers in views.items() if name in lone}
 
     # --- least squares ---------------------------------------------------------------------------
 
@@ -194,9 +295,7 @@ class JointProblem:
 
     def look(self, state: State) -> list[ViewRows]:
         """All views at a state."""
-        sights = [
-            (eye.solver_at(state), eye.canonical(state), eye.level(self.depth)) for eye in self.eyes
-        ]
+        sights = [(*e.standpoint(state)[:2], e.level(self.depth)) for e in self.eyes]
         look = lambda sight: sight[0].look(*sight[1:])
         views = in_threads(look, sights, lambda sight: sight[0].program(*sight[1:]))
         return [self._rows_of(k, state, view) for k, view in enumerate(views)]
@@ -230,20 +329,17 @@ class JointProblem:
 
     def view_rows(self, k: int, seen: ViewRows) -> Rows:
         """Rows of a view, by the unknowns that it depends on."""
-        own = [np.full(len(self._places[j]), not self._held[j]) for j in self._seen[k]]
-        rows = np.asarray(seen.view.triangle, float) @ seen.moves
-        along = np.asarray(seen.view.along, float)
-        return Rows(rows, along, self.columns(k), np.concatenate(own))
+        rows, columns = np.asarray(seen.view.triangle, float) @ seen.moves, self.columns(k)
+        return Rows(rows, np.asarray(seen.view.along, float), columns, self._own[columns])
 
     def prior_rows(self, state: State, seen: list[ViewRows], noise: float) -> list[Rows]:
         """Rows of priors, which err by a residual's noise."""
         result = []
-        for prior in self.priors:
-            j = self._number[prior.name, prior.kind]
-            k = self._seen_by[j]
-            left, rows = prior.residuals(state, self.eyes[k], seen[k].view)
-            own = np.full(rows.shape[1], not self._held[j])
-            result.append(Rows(rows, left, self._places[j], own).times(noise))
+        for part, labels, mean, std in self.priors:
+            values, by_unknown = self.report(part, state, seen)
+            which, place = [part.labels.index(x) for x in labels], self._places[part[:2]]
+            rows, left = by_unknown[which] / std[:, None], (values[which] - mean) / std
+            result.append(Rows(rows, left, place, self._own[place]).times(noise))
         return result
 
     def sizes(self, seen: list[ViewRows], parts: list[Rows]) -> np.ndarray:
@@ -254,14 +350,35 @@ class JointProblem:
     def ways_out(self, state: State, seen: list[ViewRows]) -> np.ndarray:
         """The way in which numbers (size,) would leave their bounds: 1 or -1 at an end, else 0."""
         result = np.zeros(self.size)
-        for k, (eye, rows) in enumerate(zip(self.eyes, seen, strict=True)):
-            for j in self._seen[k]:
-                result[self._places[j]] = eye.ways_out(state, rows.view, self.unknowns[j])
+        for eye in self.eyes:
+            for label in eye.ended(state):
+                part, bounds = Part(eye.owners[label], label), eye.solver.bounds
+                if (place := self.place(part.name, label)) is not None and bounds is not None:
+                    k = bounds.labels.index(label)
+                    (value,), (by_unknown,) = self.report(part, state, seen)
+                    above = value - (bounds.low[k] + bounds.high[k]) / 2
+                    result[place] = np.sign(by_unknown * float(above))
         return result
 
     def stepped(self, state: State, x: np.ndarray) -> State:
-        """The state after a step."""
-        return stepped(state, self.unknowns, x, self.eyes)
+        """The state after a step: twists of poses, moves of lenses, logarithms of scales."""
+        poses, lenses, scales, zeros = map(dict, state)
+        for name, kind, _, cameras in self.unknowns:
+            part = x[self._places[name, kind]]
+            if kind in MOTIONS:
+                twist = np.zeros(TWIST)
+                twist[MOTIONS[kind]] = part
+                poses[name] = poses[name] @ exponential(twist)
+            elif kind == SCALE:
+                scales[name] *= float(np.exp(part[0]))
+            elif kind == ZERO:
+                zeros[name] = zeros.get(name, 0.0) + float(part[0])
+            else:
+                eye = self.eyes[self._seen_by[name, kind]]
+                lens = with_step(lenses[eye.shot.camera], kind, part, eye.solver.bounds)
+                for camera in cameras:
+                    lenses[camera] = with_parameter(lenses[camera], kind, lens)
+        return State(poses, lenses, scales, zeros)
 
     def moved(self, seen: list[ViewRows], x: np.ndarray) -> float:
         """The largest move that a step makes in any view, in its solver's units."""

@@ -7,24 +7,25 @@ s times as large looks as it did from s times as near. So what one view's progra
 camera says all about the unknowns, and no other program is compiled.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 
 from .._camera.camera import Camera
-from .._camera.poses import Pose, adjoint, at_pose, exponential, inverse, pose_of, rigid
+from .._camera.poses import Pose, adjoint, at_pose, inverse, pose_of, rigid
 from .._mask.edges import Weights
 from .._mask.mask import Mask
 from .._numerics.arrays import ArrayLike, Input
 from .._scene.assembly import Posture
 from .._scene.scene import Scene
 from .._solver.looks import View
+from .._solver.moves import Bounds
 from .._solver.parameters import PARAMETERS, components
 from .._solver.solver import Solver
-from .._solver.subject import Subject
 
 #: What an unknown may be, beside a parameter of a camera's lens: a pose, the scale of the scene,
 #: or the zero of a joint.
@@ -97,6 +98,15 @@ class Unknown(NamedTuple):
     cameras: tuple[str, ...] = ()
 
 
+class Standpoint(NamedTuple):
+    """A view at a state: the solver of its scene, joints' zeros where they are; its own camera
+    (canonical) in the scene's frame, as the scene is given; that camera's pose."""
+
+    solver: Solver
+    camera: Camera
+    pose: Pose
+
+
 @dataclass(frozen=True, eq=False)
 class Eye:
     """A view of the problem: its mask, the solver of its own camera, and its known transforms.
@@ -113,25 +123,30 @@ class Eye:
     mount: Pose
     placed: Pose
     rig: Pose
-    #: The last state, and the view's own camera and its pose there: each look asks many times.
-    _cameras: list[tuple[State, Camera, Pose]] = field(default_factory=list, init=False)
-    #: The last offsets of joints, and the subject with these.
-    _subjects: list[tuple[np.ndarray, Subject]] = field(default_factory=list, init=False)
+    #: The last state, and the view there: each look asks many times.
+    _last: list[tuple[State, Standpoint]] = field(default_factory=list, init=False)
 
-    def solver_at(self, state: State) -> Solver:
-        """The solver of the scene with its joints' zeros where they are."""
-        posture, offsets = self.shot.posture, self.offsets(state)
-        if posture is None or not np.any(offsets):
-            return self.solver
-        if not (self._subjects and np.array_equal(self._subjects[0][0], offsets)):
-            subject = self.solver.subject.elsewhere(posture.scene(offsets))
-            self._subjects[:] = [(offsets, subject)]
-        return replace(self.solver, subject=self._subjects[0][1])
+    def standpoint(self, state: State) -> Standpoint:
+        """The view at a state."""
+        if not (self._last and self._last[0][0] is state):
+            pose = self.mount @ state.poses[self.moving] @ self.rig
+            there = stretched(inverse(self._scene_pose(state)) @ pose, 1 / self.scale(state))
+            camera, solver = at_pose(state.lenses[self.shot.camera], there), self.solver
+            offsets = self.offsets(state)
+            if self.shot.posture is not None and np.any(offsets):
+                scene = self.shot.posture.scene(offsets)
+                solver = replace(solver, subject=solver.subject.elsewhere(scene))
+            self._last[:] = [(state, Standpoint(solver, camera, pose_of(camera)))]
+        return self._last[0][1]
+
+    def canonical(self, state: State) -> Camera:
+        """The view's own camera (canonical) in its scene's frame, as the scene is given."""
+        return self.standpoint(state).camera
 
     def look(self, state: State) -> View:
         """The view on the finest level."""
-        solver = self.solver_at(state)
-        return solver.look(self.canonical(state), solver.finest)
+        solver, camera, _ = self.standpoint(state)
+        return solver.look(camera, solver.finest)
 
     def weighed(
         self, weights: Weights, target: np.ndarray | None = None, only_finest: bool = False
@@ -143,22 +158,6 @@ class Eye:
         """Offsets of the joints' readings (J,)."""
         names = () if self.shot.posture is None else self.shot.posture.joints
         return np.array([state.zeros.get(name, 0.0) for name in names])
-
-    def canonical(self, state: State) -> Camera:
-        """The view's own camera (canonical) in its scene's frame, as the scene is given."""
-        return self._placed_camera(state)[1]
-
-    def pose(self, state: State) -> Pose:
-        """The pose of the view's own camera in its scene's frame, as the scene is given."""
-        return self._placed_camera(state)[2]
-
-    def _placed_camera(self, state: State) -> tuple[State, Camera, Pose]:
-        if not (self._cameras and self._cameras[0][0] is state):
-            pose = self.mount @ state.poses[self.moving] @ self.rig
-            there = stretched(inverse(self._scene_pose(state)) @ pose, 1 / self.scale(state))
-            camera = at_pose(state.lenses[self.shot.camera], there)
-            self._cameras[:] = [(state, camera, pose_of(camera))]
-        return self._cameras[0]
 
     def scale(self, state: State) -> float:
         """The scene's size, in that of the given scene."""
@@ -188,54 +187,36 @@ class Eye:
         # (A solver's first moves, and the first numbers that it reports, are those of the pose.)
         by_moves = np.asarray(view.to_reported, float)
         result = np.zeros((by_moves.shape[1], TWIST))
-        by_twist = reported_twist(self.pose(state)[:3, :3])
+        by_twist = reported_twist(self.standpoint(state).pose[:3, :3])
         result[:TWIST] = np.linalg.solve(by_moves[:TWIST, :TWIST], by_twist)
         result[:, 3:] /= self.scale(state)
         return result
 
     def moves(self, state: State, view: View, unknowns: list[Unknown]) -> np.ndarray:
-        """Moves of the view's own camera (n, k), in its solver's units, by the poses and lenses
-        that it depends on."""
-        pose, scale = self.pose(state), self.scale(state)
-        sizes, by_twist = np.asarray(view.scale, float), self.by_twist(state, view)
-        parts = [np.zeros((len(sizes), 0))]
-        for unknown in unknowns:
-            if unknown.kind == SCALE:
-                nearer = by_twist[:, 3:] @ pose[:3, :3].T @ (-scale * pose[:3, 3])
-                columns = nearer[:, None]
-            elif unknown.kind not in MOTIONS:
-                place = _indices(self.solver.freed, unknown.kind)
-                columns = np.zeros((len(sizes), len(place)))
-                columns[place, np.arange(len(place))] = 1 / sizes[place]
-            elif unknown.name == self.moving:
-                columns = (by_twist @ adjoint(inverse(self.rig)))[:, MOTIONS[unknown.kind]]
+        """Moves of the view's own camera (n, k), in its solver's units, by the poses, lenses and
+        scales that it depends on."""
+        by_twist = self.by_twist(state, view)
+        pose = stretched(self.standpoint(state).pose, self.scale(state))
+        parts = [np.zeros((len(by_twist), 0))]
+        for name, kind, *_ in unknowns:
+            if kind == SCALE:
+                parts.append(-by_twist[:, 3:] @ pose[:3, :3].T @ pose[:3, 3:])
+            elif kind not in MOTIONS:
+                place = indices(self.solver.freed, kind)
+                parts.append(np.diag(1 / np.asarray(view.scale, float))[:, place])
+            elif name == self.moving:
+                parts.append((by_twist @ adjoint(inverse(self.rig)))[:, MOTIONS[kind]])
             else:
-                columns = -by_twist @ adjoint(inverse(self.placed @ stretched(pose, scale)))
-            parts.append(columns)
+                parts.append(-by_twist @ adjoint(inverse(self.placed @ pose)))
         return np.concatenate(parts, axis=1)
 
-    def depends_on(self) -> Iterator[tuple[str, str]]:
+    def depends_on(self) -> Iterator[tuple[str | None, str]]:
         """Names and kinds that the view depends on, if they are unknown."""
         yield from ((self.moving, kind) for kind in MOTIONS)
-        if self.shot.object is not None:
-            yield self.shot.object, POSE
-        if self.shot.scale is not None:
-            yield self.shot.scale, SCALE
+        yield from ((self.shot.object, POSE), (self.shot.scale, SCALE))
         yield from ((owner, kind) for kind, owner in self.owners.items())
         if self.shot.posture is not None:
             yield from ((joint, ZERO) for joint in self.shot.posture.joints)
-
-    def ways_out(self, state: State, view: View, unknown: Unknown) -> np.ndarray:
-        """The way in which an unknown's numbers (size,) would leave their bounds, where they are at
-        an end of these: 1 or -1, and 0 of the others."""
-        result, bounds, kind = np.zeros(unknown.size), self.solver.bounds, unknown.kind
-        if bounds is None or kind not in self.ended(state):
-            return result
-        bound, (k,) = bounds.labels.index(kind), _indices(self.solver.freed, kind)
-        middle = float(bounds.low[bound] + bounds.high[bound]) / 2
-        value = float(PARAMETERS[kind].leaves[0].of(state.lenses[self.shot.camera]))
-        result[:] = np.sign(np.asarray(view.to_reported)[k, k]) * (1 if value > middle else -1)
-        return result
 
     def ended(self, state: State) -> tuple[str, ...]:
         """The camera's parameters that are at an end of their bounds."""
@@ -259,43 +240,11 @@ def reported_twist(rotation: np.ndarray, axes: np.ndarray = TO_B) -> np.ndarray:
     return result
 
 
-def _indices(freed: tuple[str, ...], kind: str) -> np.ndarray:
+def indices(freed: tuple[str, ...], kind: str) -> np.ndarray:
     """Indices of a parameter's moves, and of its reported numbers, among those of the free names:
     there are as many of both."""
     begin = len(components(freed[: freed.index(kind)]))
     return begin + np.arange(len(components((kind,))))
-
-
-def lens_reported(view: View, freed: tuple[str, ...], kind: str) -> np.ndarray:
-    """Reported values of a lens's parameter (film coordinates in film heights) by its moves."""
-    place = _indices(freed, kind)
-    rows = np.asarray(view.to_reported, float)[np.ix_(place, place)]
-    return rows / np.asarray(view.scale, float)[place]
-
-
-def stepped(state: State, unknowns: list[Unknown], x: np.ndarray, eyes: Sequence[Eye]) -> State:
-    """The state after a step: twists of poses, moves of lenses, logarithms of scales."""
-    poses, lenses = dict(state.poses), dict(state.lenses)
-    scales, zeros = dict(state.scales), dict(state.zeros)
-    by_camera = {eye.shot.camera: eye for eye in eyes}
-    begin = 0
-    for unknown in unknowns:
-        part = x[begin : begin + unknown.size]
-        begin += unknown.size
-        if unknown.kind in MOTIONS:
-            twist = np.zeros(TWIST)
-            twist[MOTIONS[unknown.kind]] = part
-            poses[unknown.name] = poses[unknown.name] @ exponential(twist)
-        elif unknown.kind == SCALE:
-            scales[unknown.name] *= float(np.exp(part[0]))
-        elif unknown.kind == ZERO:
-            zeros[unknown.name] = zeros.get(unknown.name, 0.0) + float(part[0])
-        else:
-            name = next(name for name in unknown.cameras if name in by_camera)
-            moved = _move_lens(by_camera[name], lenses[name], unknown.kind, part)
-            for name in unknown.cameras:
-                lenses[name] = with_parameter(lenses[name], unknown.kind, moved)
-    return State(poses, lenses, scales, zeros)
 
 
 def with_parameter(camera: Camera, kind: str, other: Camera) -> Camera:
@@ -305,10 +254,10 @@ def with_parameter(camera: Camera, kind: str, other: Camera) -> Camera:
     return camera
 
 
-def _move_lens(eye: Eye, camera: Camera, kind: str, part: np.ndarray) -> Camera:
-    """A canonical camera with a parameter of its lens moved."""
-    solver = eye.solver
-    start, place = solver.move(camera, solver.finest), _indices(solver.freed, kind)
-    y = np.zeros(len(components(solver.freed)))
-    y[place] = part / np.asarray(start.scale, float)[place]
-    return solver.step(camera, solver.finest, y)
+def with_step(camera: Camera, kind: str, step: np.ndarray, bounds: Bounds | None) -> Camera:
+    """The camera (canonical) with a step of a parameter of its lens, within its bounds."""
+    moved = camera
+    for leaf in PARAMETERS[kind].leaves:
+        value = jnp.asarray(leaf.of(moved))
+        moved = eqx.tree_at(leaf.of, moved, leaf.moved(value, jnp.asarray(step, value.dtype)))
+    return moved if bounds is None else bounds.into(camera, moved)

@@ -68,7 +68,7 @@ def with_joints(
 
 def _shares(eye: Eye, state: State, camera: Camera, view: View) -> np.ndarray:
     """Each body's share of the outline in each touched pixel (P, B)."""
-    mesh, posture = eye.solver_at(state).subject.given.mesh, eye.shot.posture
+    mesh, posture = eye.standpoint(state).solver.subject.given.mesh, eye.shot.posture
     assert mesh is not None
     assert posture is not None
     bodies = int(posture.body[-1]) + 1

@@ -11,7 +11,7 @@ from .._solver.least_squares import levenberg_marquardt
 from .._solver.problem import FINE_PX
 from .noise import Noise, left_over, noise_of, prior_rows, rms_limit, squares_of
 from .reprojection import PointProblem, PointView
-from .rivals import rivals
+from .starts import rivals
 
 #: How often a prior is weighed anew by what the points err by.
 ROUNDS = 3

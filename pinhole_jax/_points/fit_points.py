@@ -21,7 +21,8 @@ from .._fit.result import (
     with_modes,
     without_ended,
 )
-from .._joint.lenses import known_by_others, with_shared
+from .._joint.agreement import known_by_others
+from .._joint.door import with_shared
 from .._numerics.arrays import ArrayLike, Input, checked, is_concrete
 from .._numerics.pointwise import room
 from .._rules import RULES
