@@ -69,53 +69,41 @@ def test_size_and_distance_are_one_to_a_single_camera(larger):
     assert abs(fit.objects["part"].std[5] / (0.02 * abs(away[2]) / 1.1) - 1) < 2e-2
 
 
-def of_inputs(views, place, target, vertices, mount, placed):
-    """Return the pose and size of a part, as they follow a mask, its mesh and known transforms."""
-    scene = pj.Scene(mesh=pj.Mesh(vertices, np.asarray(views[0].scene.mesh.faces)))
-    given = [
-        views[0]._replace(scene=scene, target=target, mount=mount),
-        views[1]._replace(scene=scene, placed=placed),
-    ]
-    fit = pj.fit_joint(given, BOTH_EYES, (), objects=place, outlier_px=None)
-    pose, size = fit.objects["part"].pose, fit.scales["part"].value
-    return jnp.append(jnp.ravel(pose[:3]), size)
-
-
 @pytest.mark.full
-def test_derivative_by_masks_and_transforms_equals_refits(larger):
-    views, place = larger
-    random = np.random.default_rng(0)
-    noise = lambda: 0.03 * random.normal(size=(SIZE, SIZE))
-    views = [v._replace(target=v.target + noise()) for v in views]
-    vertices = np.asarray(views[0].scene.mesh.vertices)
-    answer = lambda t, m, p: of_inputs(views, place, t, vertices, m, p)
-    # A mask that changes, a camera's carrier and what the other sees move, all at once.
-    change = random.normal(size=(SIZE, SIZE))
-    twists = random.normal(size=(2, 6))
+@pytest.mark.parametrize(("noise", "by_mesh"), [(0.03, False), (0.0, True)])
+def test_derivative_of_a_part_equals_refits(larger, noise, by_mesh):
+    """Of its pose and size, by a mask, a camera's carrier and what the other camera sees, all at
+    once; by the mesh, forward and reverse, where masks are explained."""
+    (one, other), place = larger
+    random, faces = np.random.default_rng(0), np.asarray(one.scene.mesh.faces)
+    shown = lambda view: view.target + noise * random.normal(size=(SIZE, SIZE))
+    one, other = one._replace(target=shown(one)), other._replace(target=shown(other))
 
-    def inputs(h):
-        return views[0].target + h * change, *(exponential(10 * h * x) for x in twists)
+    def answer(vertices, target, mount, placed):
+        scene = pj.Scene(mesh=pj.Mesh(vertices, faces))
+        views = [
+            one._replace(scene=scene, target=target, mount=mount),
+            other._replace(scene=scene, placed=placed),
+        ]
+        fit = pj.fit_joint(views, BOTH_EYES, (), objects=place, outlier_px=None)
+        return jnp.append(jnp.ravel(fit.objects["part"].pose[:3]), fit.scales["part"].value)
 
-    h = 1e-5
-    here, velocity = (
-        inputs(0.0),
-        [(a - b) / (2 * h) for a, b in zip(inputs(h), inputs(-h), strict=True)],
-    )
-    slope = jax.jvp(answer, tuple(map(jnp.asarray, here)), tuple(map(jnp.asarray, velocity)))[1]
-    refits = (answer(*inputs(h)) - answer(*inputs(-h))) / (2 * h)
+    vertices = jnp.asarray(one.scene.mesh.vertices)
+    change, twists = random.normal(size=(SIZE, SIZE)), random.normal(size=(2, 6))
+    if by_mesh:
+        by_vertices = lambda v: answer(v, one.target, None, None)
+        wrong = 0.01 * jnp.asarray(random.normal(size=vertices.shape))
+        slope = check_slope(by_vertices, [vertices], [wrong], 1e-3, 1e-3)
+        gradient = jax.grad(lambda v: by_vertices(v)[-1])(vertices)
+        np.testing.assert_allclose(jnp.sum(gradient * wrong), slope[-1], rtol=1e-6)
+        return
+    inputs = lambda h: (one.target + h * change, *(exponential(10 * h * x) for x in twists))
+    by_rest = lambda *given: answer(vertices, *given)
+    ends, h = (inputs(1e-5), inputs(-1e-5)), 1e-5
+    velocity = [jnp.asarray((a - b) / (2 * h)) for a, b in zip(*ends, strict=True)]
+    slope = jax.jvp(by_rest, tuple(map(jnp.asarray, inputs(0.0))), tuple(velocity))[1]
+    refits = (by_rest(*ends[0]) - by_rest(*ends[1])) / (2 * h)
     np.testing.assert_allclose(slope, refits, atol=1e-3 * np.abs(refits).max())
-
-
-@pytest.mark.full
-def test_derivative_by_the_mesh_equals_refits(larger):
-    """Forward and reverse, where masks are explained."""
-    views, place = larger
-    vertices = jnp.asarray(views[0].scene.mesh.vertices)
-    answer = lambda v: of_inputs(views, place, views[0].target, v, None, None)
-    wrong = 0.01 * jnp.asarray(np.random.default_rng(1).normal(size=vertices.shape))
-    slope = check_slope(answer, [vertices], [wrong], 1e-3, 1e-3)
-    gradient = jax.grad(lambda v: answer(v)[-1])(vertices)
-    np.testing.assert_allclose(jnp.sum(gradient * wrong), slope[-1], rtol=1e-6)
 
 
 def differences(image, h=1e-5):

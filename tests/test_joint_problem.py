@@ -9,6 +9,7 @@ from oracles import drawn
 import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._camera.poses import exponential
+from pinhole_jax._joint.agreement import known_by_others
 from pinhole_jax._joint.door import MANY_VIEWS, joint_problem
 from pinhole_jax._solver.least_squares import Rows, held_to_the_end, solve
 from pinhole_jax._solver.moves import reported
@@ -45,29 +46,23 @@ def test_moves_are_those_of_differences(stereo):
 
 def test_elimination_equals_the_dense_solution():
     """Two views have a camera in common, all have the last numbers; of one, something is known."""
-    random = np.random.default_rng(0)
-    size, parts, dense, right = 9, [], [], []
-    for own, number in (([0, 1], 7), ([0, 1], 4), ([2, 3], 7), ([4, 5], 7), ([2], 1)):
+    random, size, parts = np.random.default_rng(0), 9, []
+    for own, number in (([0, 1], 7), ([0, 1], 4), ([2, 3], 7), ([2], 1), ([4, 5], 7)):
         columns = np.array([6, *own, 7, 8] if number > 1 else own)
         rows, left = random.normal(size=(number, len(columns))), random.normal(size=number)
         parts.append(Rows(rows, left, columns, np.isin(columns, own)))
-        whole = np.zeros((number, size))
-        whole[:, columns] = rows
-        dense.append(whole)
-        right.append(left)
-    matrix, left = np.concatenate(dense), np.concatenate(right)
-    found = solve(parts, size, np.zeros(size))
-    assert found.shared.tolist() == [6, 7, 8]
-    assert len(found.own) == 3
-    assert np.allclose(found.x, -np.linalg.lstsq(matrix, left, rcond=None)[0], atol=1e-12)
-    everything = np.arange(size)
-    inverse_normal = np.linalg.inv(matrix.T @ matrix)
-    assert np.allclose(found.inverse(everything, everything), inverse_normal, atol=1e-12)
-    damping = np.linspace(0.1, 2, size)
-    damped = solve(parts, size, damping).x
-    more = np.concatenate([matrix, np.diag(damping)])
-    expected = -np.linalg.lstsq(more, np.append(left, np.zeros(size)), rcond=None)[0]
-    assert np.allclose(damped, expected, atol=1e-12)
+    dense = [part.rows @ np.eye(size)[part.columns] for part in parts]
+    matrix, left = np.concatenate(dense), np.concatenate([part.left for part in parts])
+    for damping in (np.linspace(0.1, 2, size), np.zeros(size)):
+        found, normal = solve(parts, size, damping), matrix.T @ matrix + np.diag(damping**2)
+        assert (found.shared.tolist(), len(found.own)) == ([6, 7, 8], 3)
+        np.testing.assert_allclose(normal @ found.x, -matrix.T @ left, atol=1e-11)
+        inverse = found.inverse(np.arange(size), np.arange(size))
+        np.testing.assert_allclose(inverse @ normal, np.eye(size), atol=1e-10)
+    # The knowledge that the other views have of shared numbers: all else is eliminated.
+    known, others = known_by_others(found, parts[-1], ~parts[-1].own), np.concatenate(dense[:-1])
+    spread = np.linalg.pinv(others.T @ others)[6:, 6:]
+    np.testing.assert_allclose(known.T @ known @ spread, np.eye(3), atol=1e-9)
 
 
 def test_elimination_order_makes_the_least_work():
@@ -82,15 +77,15 @@ def test_elimination_order_makes_the_least_work():
 
 def test_many_views_hold_little_memory(scenes):
     """Views of one scene share its arrays, and each has room for its own mask alone."""
-    mask, cameras = drawn(TRUTH, scenes[0]), {f"{k}": TRUTH for k in range(MANY_VIEWS)}
-    views = [pj.JointView(scenes[0], mask, camera=name) for name in cameras]
-    few, many = (
-        joint_problem(views[:k], dict([*cameras.items()][:k]), "pose") for k in (2, MANY_VIEWS)
-    )
-    size = lambda problem: [e.solver.problem.pyramid.cells.size for e in problem.eyes]
-    assert min(size(few)) > 10 * max(size(many))
-    scene = [eye.solver.problem.scene.mesh for eye in many.eyes]
-    assert all(mesh.vertices is scene[0].vertices for mesh in scene)
+    mask, names, least = drawn(TRUTH, scenes[0]), [*map(str, range(MANY_VIEWS))], []
+    for some in (names[:2], names):
+        views = [pj.JointView(scenes[0], mask, camera=name) for name in some]
+        problems = [
+            e.solver.problem for e in joint_problem(views, dict.fromkeys(some, TRUTH), "pose").eyes
+        ]
+        least.append(min(problem.pyramid.cells.size for problem in problems))
+        assert len({id(problem.scene.mesh.vertices) for problem in problems}) == 1
+    assert least[0] > 10 * least[1]
 
 
 def test_assembly_is_the_union_of_its_parts(arm):
@@ -111,6 +106,8 @@ def hinged():
 
 
 BOTH, NOWHERE, HERE = {"camera": TRUTH, "other": TRUTH}, {"part": np.eye(4)}, np.eye(4)
+
+BENT = TRUTH.replace(lens=pj.Lens([48, 48], distortion=pj.Fisheye()))
 
 #: What is wrong: the message, changes of each view, and other arguments.
 WRONG = [
@@ -134,7 +131,7 @@ WRONG = [
         [{"camera": "rig"}, {"camera": "left"}],
         {"cameras": {"rig": TRUTH, "left": TRUTH}, "rig": {"left": HERE}},
     ),
-    (r"`views\[0\].scale`: expected a name that no camera", [{"scale": "camera"}], {}),
+    ("`views`: expected names of scales that no camera has", [{"scale": "camera"}], {}),
     (
         "`prior`: expected a positive scale of 'size', got -1.0",
         [{"scale": "size"}],
@@ -175,6 +172,11 @@ WRONG = [
         "`prior`: expected a positive deviation of 'x', got 0.0",
         [{"object": "part"}],
         {"objects": NOWHERE, "free": (), "prior": {"part": {"x": (0, 0)}}},
+    ),
+    (
+        "`cameras`: expected distortions of one kind to share, got Brown",
+        [{}, {"camera": "other"}],
+        {"cameras": {**BOTH, "other": BENT}, "shared": "k1"},
     ),
     ("`joint_zeros`: expected views with a `posture`", [{}], {"joint_zeros": 0.01}),
     (
