@@ -117,7 +117,7 @@ def compare(problem: JointProblem, path: Path | None, tell: Tell) -> tuple[Path,
 
 def join(problem: JointProblem, state: State, moved: list[tuple[LonePose, State]]) -> State:
     """The state with lone poses, and what else their views show, of other states."""
-    poses, lenses, scales, zeros = map(dict, state)
+    poses, lenses, scales = dict(state.poses), dict(state.lenses), dict(state.scales)
     for pose, there in moved:
         poses[pose.name] = there.poses[pose.name]
         lenses |= {name: there.lenses[name] for name in pose.problem.cameras}
@@ -125,7 +125,7 @@ def join(problem: JointProblem, state: State, moved: list[tuple[LonePose, State]
     for unknown in problem.unknowns:
         if len(unknown.cameras) > 1:
             lenses = share_means(lenses, {unknown.kind: [unknown.cameras]})
-    return State(poses, lenses, scales, zeros)
+    return State(poses, lenses, scales, state.zeros)
 
 
 def _squares_alike(problem: JointProblem, path: Path) -> float:

@@ -89,9 +89,10 @@ def joint_problem(
     for k, view in enumerate(views):
         name, mask = view.camera, _checked_mask(k, view, cameras, search, as_given)
         known = ((f"views[{k}].{x}", getattr(view, x)) for x in ("mount", "placed"))
+        mount, placed = (_pose(*pose) for pose in known)
         own = subjects[id(view.scene)], mask, (POSE, *lens), max_steps, limits[name]
-        on = moving[name], *(_pose(*pose) for pose in known), places.get(name, np.eye(4))
-        eyes.append(Eye(view, mask, Solver.on(*own, **options), owners[name], *on))
+        solver, rig = Solver.on(*own, **options), places.get(name, np.eye(4))
+        eyes.append(Eye(view, mask, solver, owners[name], moving[name], mount, placed, rig))
     for eye in eyes:
         poses.setdefault(eye.moving, pose_of(eye.mask.camera) @ inverse(eye.rig))
     problem = JointProblem(

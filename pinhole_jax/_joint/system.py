@@ -362,7 +362,8 @@ class JointProblem:
 
     def stepped(self, state: State, x: np.ndarray) -> State:
         """The state after a step: twists of poses, moves of lenses, logarithms of scales."""
-        poses, lenses, scales, zeros = map(dict, state)
+        poses, lenses = dict(state.poses), dict(state.lenses)
+        scales, zeros = dict(state.scales), dict(state.zeros)
         for name, kind, _, cameras in self.unknowns:
             part = x[self._places[name, kind]]
             if kind in MOTIONS:
