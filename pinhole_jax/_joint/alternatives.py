@@ -244,7 +244,7 @@ def _keep_agreeing(
     found, reach = [places.best, *places.others], problem.outlier_px
     if reach is None or places.best.view.touched_misfit <= RULES.exact * mask.usual_weight:
         return found
-    refiner = Refiner.on(solver, mask, reach)
+    refiner = Refiner.on(solver, mask, reach, plainly=True)  # (as all views descend)
     candidates = refiner.candidates([*found, *places.rivals], start)
     kept = likeliest(candidates, min(len(found), len(candidates)), start)
     return [c.found._replace(view=c.whole) for c in kept]
