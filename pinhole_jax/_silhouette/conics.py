@@ -74,16 +74,6 @@ def cut_circle(
     return jnp.stack([x * b + y * root, y * b - x * root], axis=-1)
 
 
-def unit_of(frame: Float[Array, "*K 3 3"], point: Float[Array, "*K 2"]) -> Float[Array, "*K 2"]:
-    """Return the w of a film point that lies on the curve."""
-    level = frame[..., :2] - point[..., None, :] * frame[..., 2:]  # rows 1, w_1, w_2; columns x, y
-    (c0, c1), (a0, a1), (b0, b1) = ((level[..., k, 0], level[..., k, 1]) for k in range(3))
-    det = a0 * b1 - a1 * b0
-    w = jnp.stack([safe_divide(b0 * c1 - b1 * c0, det), safe_divide(a1 * c0 - a0 * c1, det)], -1)
-    length = jnp.sqrt(dot(w, w))[..., None]
-    return safe_divide(w, length)
-
-
 class Nodes(NamedTuple):
     """Quadrature over a stretch of an arc: an integral is the sum of `weight` times the integrand.
 
@@ -117,15 +107,6 @@ def nodes(
     slope = safe_divide(change[..., :2] - film * change[..., 2:], z)
     weight = turn[..., None] * spread(_WEIGHTS)
     return Nodes(w, film, slope, z[..., 0], weight)
-
-
-def bulge(
-    frame: Float[Array, "*K 3 3"], start: Float[Array, "*K 2"], end: Float[Array, "*K 2"]
-) -> Float[Array, "*K"]:
-    """Return the area between an arc's piece and its chord, positive if counter-clockwise."""
-    n = nodes(frame, unit_of(frame, start), unit_of(frame, end))
-    x, y = jnp.moveaxis(n.point - start[..., None, :], -1, 0)
-    return jnp.sum(n.weight * (x * n.slope[..., 1] - y * n.slope[..., 0]), axis=-1) / 2
 
 
 def arc_flux(

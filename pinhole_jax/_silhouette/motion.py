@@ -6,7 +6,7 @@ found again for each derivative: no list of them is kept.
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,71 +15,71 @@ from jaxtyping import Array, Float
 
 from .._camera.film import FilmMap
 from .._native.linear import differentiable_once, linear, merged, moving_of
-from .._numerics.batches import Total
 from .._numerics.safe import safe_divide
 from .._scene.scene import Scene
-from .conics import arc_flux, unit_of
 from .contour import Contour, Moving
-from .crowds import CellCoverage, VisiblePieces, fold_crowded
-from .pieces import Monotone, Pieces
-from .pixels import Pixels, drawn, fold_film, place
+from .pixels import Pixels, pixels_of
 from .surrounding import surrounding
+from .sweeps import VisiblePieces, fold_swept
 
 
-class Drawing(NamedTuple):
-    """A film's view of a scene: curves, pixels, and the image."""
-
-    curves: Contour
-    pixels: Pixels
-    image: Float[Array, "H W"]
-
-
-def coverage_in_arrays(film: FilmMap, scene: Scene, overlaps: bool) -> Float[Array, "H W"]:
-    """Exact coverage of each pixel, row 0 on top; `overlaps` as in `silhouette`."""
+def coverage_in_arrays(film: FilmMap, scene: Scene) -> Float[Array, "H W"]:
+    """Exact coverage of each pixel, row 0 on top."""
     moving = Moving.from_scene(film, scene)
-    return _coverage(overlaps, moving, jax.lax.stop_gradient((film, scene)))
+    held, film, scene = jax.lax.stop_gradient((moving, film, scene))
+    given = Contour.from_scene(held, film, scene), surrounding(film, scene)
+    return _coverage((film.W, film.H), moving, given)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _coverage(overlaps: bool, moving: Moving, given: tuple[FilmMap, Scene]) -> Array:
-    return _view(overlaps, moving, given).image
+def _coverage(
+    film: tuple[int, int], moving: Moving, given: tuple[Contour, Array]
+) -> Float[Array, "H W"]:
+    curves, base = given
+    return _image(film, curves, pixels_of(curves, film, base))
 
 
 @partial(_coverage.defjvp, symbolic_zeros=True)
-def _coverage_jvp(overlaps: bool, primals: Any, tangents: Any):
+def _coverage_jvp(film: tuple[int, int], primals: Any, tangents: Any):
     """The image, and its change by the arrays that move; others cost nothing."""
-    moving, given = primals
-    leaves, tree = jax.tree.flatten(moving)
+    leaves, tree = jax.tree.flatten(primals[0])
     velocities = tree.flatten_up_to(tangents[0])
     moves = [not isinstance(v, SymbolicZero) for v in velocities]
-    view = _view(overlaps, *differentiable_once((moving, given)))
-    held, film = differentiable_once(leaves), (given[0].W, given[0].H)
-    like = jax.ShapeDtypeStruct(view.image.shape, view.image.dtype)
+    held, (curves, base) = differentiable_once((leaves, primals[1]))
+    pixels = pixels_of(curves, film, base)
+    image = _image(film, curves, pixels)
 
-    def change_by(view: Drawing, held: list[Array], seen: VisiblePieces) -> Callable:
-        every = lambda moving: tree.unflatten(merged(moving, held, moves))
-        return lambda moving: _change(view.curves, every(moving), seen)
+    def change_by(view: Any, seen: VisiblePieces) -> Callable:
+        curves, _, held = view
+        return lambda x: _change(curves, tree.unflatten(merged(x, held, moves)), seen)
 
-    def push(view: Drawing, held: list[Array], velocity: list[Array]) -> Array:
-        def add(image, seen):
-            more = jax.jvp(change_by(view, held, seen), (moving_of(held, moves),), (velocity,))[1]
-            return image.at[seen.pixel].add(more, mode="drop")
+    def push(view: Any, velocity: list[Array]) -> Array:
+        def add(image, swept):
+            at = moving_of(view[2], moves)
+            more = jax.jvp(change_by(view, swept.seen), (at,), (velocity,))[1]
+            return image.at[swept.seen.pixel].add(more, mode="drop")
 
-        none = jnp.zeros(film[0] * film[1], like.dtype)
-        return _upright(_fold_seen(view, film, add, none), film)
+        none = jnp.zeros(film[0] * film[1], image.dtype)
+        return _upright(fold_swept(*view[:2], film, add, none, True), film)
 
-    def pull(view: Drawing, held: list[Array], weights: Array) -> list[Array]:
-        flat = jnp.append(weights[::-1].reshape(-1), 0)
+    def pull(view: Any, weights: Array) -> list[Array]:
+        flat, at = jnp.append(weights[::-1].reshape(-1), 0), moving_of(view[2], moves)
 
-        def add(total, seen):
-            back = jax.vjp(change_by(view, held, seen), moving_of(held, moves))[1]
-            return jax.tree.map(jnp.add, total, back(flat[seen.pixel])[0])
+        def add(total, swept):
+            back = jax.vjp(change_by(view, swept.seen), at)[1]
+            return jax.tree.map(jnp.add, total, back(flat[swept.seen.pixel])[0])
 
-        none = jax.tree.map(jnp.zeros_like, moving_of(held, moves))
-        return _fold_seen(view, film, add, none)
+        return fold_swept(*view[:2], film, add, jax.tree.map(jnp.zeros_like, at), True)
 
-    forward, back = partial(push, view, held), partial(pull, view, held)
-    return view.image, linear(forward, back, moving_of(velocities, moves), like)
+    both = (partial(f, (curves, pixels, held)) for f in (push, pull))
+    like = jax.ShapeDtypeStruct(image.shape, image.dtype)
+    return image, linear(*both, moving_of(velocities, moves), like)
+
+
+def _image(film: tuple[int, int], curves: Contour, pixels: Pixels) -> Float[Array, "H W"]:
+    add = lambda image, swept: image.at[swept.pixel].add(swept.area, mode="drop")
+    image = fold_swept(curves, pixels, film, add, pixels.coverage, False)
+    return _upright(jnp.clip(image, 0, 1), film)
 
 
 def _upright(image: Float[Array, "N"], film: tuple[int, int]) -> Float[Array, "H W"]:
@@ -90,7 +90,6 @@ def _upright(image: Float[Array, "N"], film: tuple[int, int]) -> Float[Array, "H
 def _change(curves: Contour, moving: Moving, seen: VisiblePieces) -> Float[Array, "N"]:
     """A number for each visible piece with the same derivative as the pixel's coverage."""
     _, ids, extent, moment, flux = seen
-    curves, extent, moment, flux = jax.lax.stop_gradient((curves, extent, moment, flux))
     m = curves.monotone(ids)
     along = [jnp.where(m.steep, end[:, 1], end[:, 0]) for end in (m.low, m.high)]
     tail, head = (jnp.where(m.rising > 0, *ends) for ends in (along, along[::-1]))
@@ -101,47 +100,3 @@ def _change(curves: Contour, moving: Moving, seen: VisiblePieces) -> Float[Array
         return change
     turned = jnp.sum(flux * moving.frames[curves.sphere(ids)], axis=(1, 2))
     return jnp.where(m.arcs.there, turned, change)
-
-
-def _view(overlaps: bool, moving: Moving, given: tuple[FilmMap, Scene]) -> Drawing:
-    (film, scene), size = given, (given[0].W, given[0].H)
-    curves = Contour.from_scene(moving, film, scene)
-    pixels = drawn(curves, size, surrounding(film, scene), overlaps)
-
-    def add(image, cells: CellCoverage):
-        return image.at[cells.pixel].add(cells.area, mode="drop")
-
-    image = fold_crowded(curves, size, pixels, add, pixels.coverage, False)
-    return Drawing(curves, pixels, _upright(jnp.clip(image, 0, 1), size))
-
-
-def _fold_seen(
-    view: Drawing, film: tuple[int, int], add: Callable[[Total, VisiblePieces], Total], start: Total
-) -> Total:
-    """`start` after `add(total, seen)` over all visible pieces."""
-    curves, pixels, _ = view
-
-    def whole(total, m: Monotone, pieces: Pieces):
-        return add(total, _whole(m, pieces, pixels, film))
-
-    def in_cells(total, cells: CellCoverage):
-        return total if cells.seen is None else add(total, cells.seen)
-
-    total = fold_film(curves, film, whole, start)
-    return fold_crowded(curves, film, pixels, in_cells, total, True)
-
-
-def _whole(m: Monotone, pieces: Pieces, pixels: Pixels, film: tuple[int, int]) -> VisiblePieces:
-    """The visible pieces of pixels where the background is beside all pieces."""
-    W, H = film
-    pixel = place(film, pieces)
-    alone = (pixel < W * H) & pixels.alone[jnp.minimum(pixel, W * H - 1)]
-    dx, dy = (pieces.high - pieces.low).T
-    extent = jnp.where(m.steep, -pieces.jump * dy, -pieces.up * jnp.abs(dx))
-    x, y = (pieces.corner + (pieces.low + pieces.high) / 2).T
-    moment, flux = extent * jnp.where(m.steep, y, x), None
-    if m.arcs is not None:
-        conic = m.arcs.conic
-        ends = (unit_of(conic, pieces.corner + p) for p in (pieces.low, pieces.high))
-        flux = -pieces.jump[:, None, None] * arc_flux(conic, *ends)
-    return VisiblePieces(jnp.where(alone, pixel, W * H), pieces.curve, extent, moment, flux)

@@ -1,7 +1,5 @@
 """`silhouette`: the image of a scene's exact coverage, with its exact derivative."""
 
-from functools import partial
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -21,13 +19,10 @@ def silhouette(camera: Camera, scene: Scene, overlaps: bool = True) -> Float[Arr
     Exact (box filter, no sampling, no blur) for any scene: the coverage of the union of all
     projected triangles and spheres, whether meshes are closed or open, wind consistently or not,
     overlap, reach through the plane of the eye or surround it. An eye inside a closed mesh or a
-    sphere sees everything covered. The cost follows the occluding contour; only pixels where
-    contours overlap pay for that. `overlaps=False` (static) says that no two parts of the contour
-    meet in a pixel, as in every view of one convex body: that code is then not even compiled; if it
-    is not true, arrays sum layers and clamp (the library does not). One sphere alone needs no such
-    flag. Coverage is in [0, 1] for coordinates of any size; but the visible side of a face is
-    undefined if its corners' distances from the eye differ by more than 1 / epsilon of the float
-    type.
+    sphere sees everything covered. The cost follows the occluding contour. Coverage is in [0, 1]
+    for coordinates of any size; but the visible side of a face is undefined if its corners'
+    distances from the eye differ by more than 1 / epsilon of the float type. `overlaps` has no
+    effect any more.
 
     The derivative, in forward and reverse mode, with respect to the camera, vertices, centers and
     radii is exact as well: the visible contour's normal velocity. Coverage is not differentiable
@@ -42,21 +37,24 @@ def silhouette(camera: Camera, scene: Scene, overlaps: bool = True) -> Float[Arr
     ```
     """
     check_view(camera, scene)
-    return _silhouette(camera, scene, overlaps)
+    return _silhouette(camera, scene)
 
 
 @eqx.filter_jit
-def _silhouette(camera: Camera, scene: Scene, overlaps: bool) -> Float[Array, "H W"]:
-    film, scene = film_map(camera), astype(scene, camera.e.dtype)
-    arrays = partial(in_arrays, overlaps=overlaps)
+def _silhouette(camera: Camera, scene: Scene) -> Float[Array, "H W"]:
+    return on_film(film_map(camera), astype(scene, camera.e.dtype))
+
+
+def on_film(film: FilmMap, scene: Scene) -> Float[Array, "H W"]:
+    """The coverage of each pixel of a film, by the library where it runs; both of one type."""
     if not is_available():
-        return arrays(film, scene)
+        return in_arrays(film, scene)
     if jax.default_backend() == "cpu":
         return coverage(film, scene)
-    return jax.lax.platform_dependent(film, scene, cpu=coverage, default=arrays)
+    return jax.lax.platform_dependent(film, scene, cpu=coverage, default=in_arrays)
 
 
-def in_arrays(film: FilmMap, scene: Scene, overlaps: bool = True) -> Float[Array, "H W"]:
+def in_arrays(film: FilmMap, scene: Scene) -> Float[Array, "H W"]:
     """The same of a film, by vectors of pieces: on accelerators, and without a compiled library."""
     mesh, spheres = scene.mesh, scene.spheres
     if mesh is not None and not mesh.edge_faces.shape[0]:
@@ -65,5 +63,4 @@ def in_arrays(film: FilmMap, scene: Scene, overlaps: bool = True) -> Float[Array
         spheres = None
     if mesh is None and spheres is None:
         return jnp.zeros((film.H, film.W), film.eye.dtype)
-    alone = mesh is None and spheres is not None and spheres.radii.shape[0] == 1
-    return coverage_in_arrays(film, Scene(mesh=mesh, spheres=spheres), overlaps and not alone)
+    return coverage_in_arrays(film, Scene(mesh=mesh, spheres=spheres))
