@@ -181,14 +181,14 @@ class _Raster(NamedTuple):
         cls, image: _Image, weight: Weights, most: float, beyond: tuple[bool, bool]
     ) -> "_Raster":
         """The pages of an image; the top row or last column is perhaps `beyond` the window."""
-        shown, one = _pages(image.values), 1
+        shown, one = _pages(image.values), 1.0
         zero, full = _throughout(shown, image.one)
         page = np.where(full, FULL, np.where(zero, EMPTY, -1))
         if isinstance(weight, NearWeights):
             (weights, none), full = _near_pages(weight), False
         elif alike(weight):
             weights = _pages(_without(np.ones(image.values.shape, np.uint8), beyond))
-            none, full = _throughout(weights, 1)
+            none, full = _throughout(weights, 1.0)
             one = most
         else:
             weights = _pages(_without(weight, beyond))
