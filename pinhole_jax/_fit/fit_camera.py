@@ -269,7 +269,7 @@ def _fit(
             free = free_about(solver, best.found, places)
         if best.covariance is not None:  # (Places along others are candidates, too.)
             about = [transported(near, best.found, f) for f in free]
-            free = [f for f in about if refiner.is_free(best, f)]
+            free = [f for f in about if refiner.is_free(best, f, found)]
         modes = [_Mode(c.found, c.whole.sums, c.errors, c.account, c.covariance) for c in kept]
 
     # 5. Status, covariance, words.

@@ -127,18 +127,18 @@ class Refiner:
         they lead to a camera that is `known`."""
         camera, now, share, solver = begin.camera, said, 1.0, self.solver
         for _ in range(min(STEPS, solver.max_steps)):
-            share = min(share, RULES.smooth * self.edge.size / max(now.shift, 1e-9))
-            camera = solver.step(camera, solver.finest, share * now.move)
+            part = min(share, RULES.smooth * self.edge.size / max(now.shift, 1e-9))
+            camera = solver.step(camera, solver.finest, part * now.move)
             after = self.account(camera)
             if after is None or after.log < said.log - RULES.times**2 / 2:
                 break
             back = any(angle(camera, other) < RULES.same for other in known)
             if after.log < least or (back and now.is_drawn):
                 return None
-            if share * now.far < STILL:
+            if part * now.far < STILL:
                 return begin._replace(camera=camera, ended=True), after
-            worse = after.far > (1 - share / 2) * now.far
-            share, now = share / 2 if worse else min(2 * share, 1.0), after
+            worse = after.far > (1 - part / 2) * now.far
+            share, now = share / 2 if worse else share, after
         return begin._replace(ended=False), said
 
     def _least_squares(self, near: Solver, begin: Solution) -> tuple[Solution, Account | None]:
@@ -166,8 +166,13 @@ class Refiner:
             return said
         return said.knowing(*self.solver.known(camera))
 
-    def is_free(self, candidate: Candidate, free: Free) -> bool:
-        """Whether cameras that are as likely lie far away in a direction that squares call free."""
+    def is_free(self, candidate: Candidate, free: Free, others: Sequence[Candidate]) -> bool:
+        """Whether cameras far away may be as likely in a direction that squares call free: some of
+        the others, those that strides lead to, or where generalised least squares found no rest."""
+        least, at = candidate.log - RULES.times**2 / 2, candidate.found.camera
+        far = [c for c in others if angle(c.found.camera, at) > RULES.start]
+        if any(c.covariance is None or c.log >= least for c in far):
+            return True
         strides = np.clip([free.ahead, -free.behind], -RULES.start, RULES.start)
         return any(x != 0 and self._leads_away(candidate, x, free.move) for x in strides)
 
