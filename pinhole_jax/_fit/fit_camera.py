@@ -34,7 +34,7 @@ from .implicit import camera_velocity, check_plain, through
 from .likelihood import Account
 from .occluders import from_all_sides, near_starts
 from .photo import COLOURS, check_photo, on_photo
-from .places import Free, interval, settled, transported
+from .places import Free, interval, settled, transported, turned_about
 from .refine import Candidate, Refiner, likeliest
 from .result import Context, Fit, Progress, progress_at, report, with_modes, with_unbelieved
 from .strategy import everywhere, free_about, from_start, to_the_end, turns_freely
@@ -258,8 +258,13 @@ def _fit(
         # 3. Where the likeliest believes too little, propose cameras behind an occluder.
         if turns_freely(freed) and refiner.is_hidden(best):
             say("model and mask disagree: looking for something in front of the object")
-            behind = behind_something(refiner, best, start)
-            kept = likeliest([*found, *behind], 0, start)
+            found += behind_something(refiner, best, start)
+            kept = likeliest(found, 0, start)
+
+        if kept[0].covariance is not None:
+            again = lookalikes(solver, kept[0].found.camera)
+            found += refiner.candidates(again, best=kept[0].log)
+            kept = likeliest(found, 0, start)
 
         # 4. Keep the modes.
         best, near, edge = kept[0], kept[0].near, refiner.edge
@@ -276,6 +281,15 @@ def _fit(
     fit = _fit_of(solver, near, mask, modes, free, edge, start is None, settings)
     weights = near.weights
     return fit, lambda: weights.image() if isinstance(weights, NearWeights) else weights
+
+
+def lookalikes(solver: Solver, camera: Camera) -> list[Solution]:
+    """Cameras that the body looks alike from, and all round the lines that it is round about."""
+    cameras = [*solver.subject.alike.views(camera)]
+    for line in solver.subject.alike.lines:
+        count = min(round(2 * np.pi / (line.pitch or RULES.start)), RULES.turns)
+        cameras += turned_about(camera, line, count)[1:]
+    return [Solution(camera, solver.look(camera, solver.finest), ()) for camera in cameras]
 
 
 def behind_something(refiner: Refiner, plain: Candidate, start: Camera | None) -> list[Candidate]:

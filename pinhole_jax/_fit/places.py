@@ -298,10 +298,7 @@ def _around(solver: Solver, best: Solution, line: Revolution) -> list[Solution]:
     if line.pitch is not None and pitch > RULES.uncertain:
         parts = max(parts, 2)  # minima are on facets, some between them
     count = round(2 * np.pi / pitch) * parts
-    cameras = [best.camera]
-    for turn in 2 * np.pi * np.arange(1, count) / count:
-        rotation = _rotation(turn * line.axis)
-        cameras.append(rotated(best.camera, rotation, line.centre - rotation @ line.centre))
+    cameras = turned_about(best.camera, line, count)
     surplus = _glances(solver, cameras, _walked_on(solver))
     lower = (surplus <= np.roll(surplus, 1)) & (surplus <= np.roll(surplus, -1))
     lower[0] = False
@@ -317,6 +314,15 @@ def _around(solver: Solver, best: Solution, line: Revolution) -> list[Solution]:
     places = _finite(places)
     solver.walked.append((best.camera, line, places))
     return places
+
+
+def turned_about(camera: Camera, line: Revolution, count: int) -> list[Camera]:
+    """This many cameras all round a line, the given one first."""
+    cameras = []
+    for turn in 2 * np.pi * np.arange(count) / count:
+        rotation = _rotation(turn * line.axis)
+        cameras.append(rotated(camera, rotation, line.centre - rotation @ line.centre))
+    return cameras
 
 
 def _led_to(solver: Solver, best: Solution, starts: Iterable[Camera]) -> Iterator[Solution | None]:

@@ -24,8 +24,9 @@ from .edge import Edge, edge_of, outline_seen
 from .likelihood import Account, account, believed
 from .places import Free
 
-#: Steps by generalised least squares at most; a step of fewer standard errors is the last.
-STEPS, STILL = 16, 0.1
+#: Steps by generalised least squares at most, and those before which no camera is given up; a step
+#: of fewer standard errors is the last.
+STEPS, EARLY, STILL = 16, 2, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,14 +127,14 @@ class Refiner:
         at an unlikelier camera, those given, not `ended`; None below the logarithm `least`, or if
         they lead to a camera that is `known`."""
         camera, now, share, solver = begin.camera, said, 1.0, self.solver
-        for _ in range(min(STEPS, solver.max_steps)):
+        for n in range(min(STEPS, solver.max_steps)):
             part = min(share, RULES.smooth * self.edge.size / max(now.shift, 1e-9))
             camera = solver.step(camera, solver.finest, part * now.move)
             after = self.account(camera)
             if after is None or after.log < said.log - RULES.times**2 / 2:
                 break
             back = any(angle(camera, other) < RULES.same for other in known)
-            if after.log < least or (back and now.is_drawn):
+            if (after.log < least and n >= EARLY) or (back and now.is_drawn):
                 return None
             if part * now.far < STILL:
                 return begin._replace(camera=camera, ended=True), after
