@@ -74,12 +74,13 @@ class Rules:
     #: 91 % with 80 or 100.)
     stretches: int = 60
     #: Hypotheses on its errors: sizes and lengths (px), and their shapes: by which power of the
-    #: distance they fall off, roughly or smoothly, and the share that is each stretch's own. (Of
-    #: 95 % ellipsoids for errors of a circle that are smooth over 40 px 92 % hold, 4 % without
-    #: smooth ones.)
+    #: distance they fall off, roughly or smoothly, the share that is each stretch's own, and how
+    #: many times as much (in variance) errs over as far as the object reaches. (Of 95 % ellipsoids
+    #: for errors of a circle that are smooth over 40 px 92 % hold, 4 % without smooth ones. Six
+    #: masks of implants by a network are 3 nats likelier each with what reaches far.)
     sizes: tuple[float, ...] = (0.08, 0.2, 0.5, 1.2, 3.0)
     lengths: tuple[float, ...] = (6.0, 16.0, 40.0, 100.0)
-    shapes: tuple[tuple[float, float], ...] = ((1.0, 0.0), (1.0, 0.7), (2.0, 0.0))
+    shapes: tuple[tuple[float, float, float], ...] = ((1, 0, 3), (1, 0.7, 9), (2, 0, 9))
     #: The bias's standard deviation, in sizes of the other errors and in px beside that, and how
     #: likely it is: segmenters are off by as much as they waver, grown or shrunk masks by more.
     biases: tuple[tuple[float, float, float], ...] = ((1.0, 0.5, 0.8), (2.0, 2.5, 0.2))
@@ -135,9 +136,9 @@ class Rules:
         return 3 * self.same * 2.0 ** np.arange(7)
 
     @property
-    def rough(self) -> tuple[tuple[float, float], ...]:
+    def rough(self) -> tuple[tuple[float, float, float], ...]:
         """The shapes that stretches show: how areas are shared out among them is rough."""
-        return self.shapes[:-1]
+        return tuple((power, own, 0) for power, own, _ in self.shapes if power == 1)
 
     @property
     def stretch(self) -> float:

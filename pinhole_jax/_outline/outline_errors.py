@@ -125,12 +125,12 @@ def _weighed(stretches: Stretches, quantisation: float, odds: float) -> OutlineE
 
 
 def _hypotheses(
-    model: "_Model", lengths: tuple[float, ...], shapes: tuple[tuple[float, float], ...]
+    model: "_Model", lengths: tuple[float, ...], shapes: tuple[tuple[float, float, float], ...]
 ) -> _Hypotheses:
     """The hypotheses on a mask's errors: that it is computed, and all sizes, biases, lengths and
     shapes."""
     none, even = np.zeros(1), 0.5  # (computed or drawn: nothing speaks for one beforehand)
-    found = [model.hypotheses(0.0, (1.0, 0.0), none, none, np.full(1, even))]
+    found = [model.hypotheses(0.0, (1.0, 0.0, 0.0), none, none, np.full(1, even))]
     times, px, likely = np.array(RULES.biases).T
     sizes, bias = np.repeat(RULES.sizes, len(px)), np.tile([times, px], len(RULES.sizes))
     bias = np.hypot(bias[0] * sizes, bias[1])
@@ -208,6 +208,7 @@ class _Model:
         X, self.count = stretches.by_move, len(offset)
         between = stretches.at[:, None] - stretches.at[None]
         self._distance = np.sqrt(np.sum(between**2, axis=-1))
+        self._reach = float(np.sqrt(np.mean(self._distance**2)))
         crowded = max(1.0, stretches.pixels / float(np.sum(stretches.length)) / STRAIGHT)
         self._quantisation = RULES.alike * quantisation * crowded / float(np.mean(stretches.length))
         self._scale = np.maximum(np.linalg.norm(X, axis=0), 1e-300)
@@ -218,17 +219,18 @@ class _Model:
     def hypotheses(
         self,
         length: float,
-        shape: tuple[float, float],
+        shape: tuple[float, float, float],
         size: np.ndarray,
         bias: np.ndarray,
         prior: np.ndarray,
     ) -> _Hypotheses:
         """The hypotheses of errors of sizes (h,), over a length, with biases: of a shape, the power
         of the distance that they fall off by and the share that is each stretch's own."""
-        power, own = shape
+        power, own, whole = shape
         correlation = np.eye(self.count)
         if length:
             correlation = np.exp(-((self._distance / length) ** power))
+            correlation += whole * np.exp(-self._distance / self._reach)
         far = size**2 * (1 - own)
         near = np.maximum(size**2 * own + self._quantisation, NUGGET * far)
 
