@@ -229,8 +229,8 @@ class _Model:
         power, own, whole = shape
         correlation = np.eye(self.count)
         if length:
-            correlation = np.exp(-((self._distance / length) ** power))
-            correlation += whole * np.exp(-self._distance / self._reach)
+            fall = lambda length: np.exp(-((self._distance / length) ** power))
+            correlation = fall(length) + whole * fall(self._reach)
         far = size**2 * (1 - own)
         near = np.maximum(size**2 * own + self._quantisation, NUGGET * far)
 
