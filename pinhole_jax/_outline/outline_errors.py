@@ -230,7 +230,7 @@ class _Model:
         correlation = np.eye(self.count)
         if length:
             fall = lambda length: np.exp(-((self._distance / length) ** power))
-            correlation = fall(length) + whole * fall(self._reach)
+            correlation = (fall(length) + whole * fall(self._reach)) / (1 + whole)
         far = size**2 * (1 - own)
         near = np.maximum(size**2 * own + self._quantisation, NUGGET * far)
 
