@@ -99,7 +99,7 @@ def test_start_of_any_convention_gives_the_same_covariance(tmp_path, name):
 @pytest.mark.parametrize("name", ["one view", "points"])
 def test_predicted_covariance_is_that_of_refits(tmp_path, name):
     """By as much as 60 samples of it tell, 99 times of 100."""
-    asked = calibration.Asked(tmp_path, trials=60, only=(name,))
+    asked = calibration.Options(tmp_path, trials=60, only=(name,))
     row = calibration.matrix(asked)["table"][name]
     least, most, angle = row["by chance"]
     assert row["converged"] == 60

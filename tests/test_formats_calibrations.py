@@ -113,7 +113,7 @@ REFUSED = {
 @pytest.mark.parametrize("line", REFUSED)
 def test_lens_that_is_not_understood_is_refused(tmp_path, line):
     coefficients = "dist: [ 1, 2, 3, 4, 5 ]\n" if REFUSED[line] is None else COEFFICIENTS
-    message = REFUSED[line] or "`distortion_coefficients`: expected 4 coefficients of a fisheye"
+    message = REFUSED[line] or "`dist`: expected 4 coefficients of a fisheye"
     (tmp_path / "c.yaml").write_text(f"{HEAD}{MATRIX}{coefficients}{line}\n{TAIL}")
     with refusal(message):
         formats.read(tmp_path / "c.yaml")

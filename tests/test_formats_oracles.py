@@ -362,5 +362,5 @@ def test_published_files(shared):
     assert_allclose(camera.e, [-0.05379832, 3.84547043, 1.20808232], atol=1e-8)
     # The scene's middle is what it looks at.
     assert_allclose(pj.project(camera, jnp.zeros(3)), [400, 400], atol=20)
-    with refusal("`camera_matrix`: expected finite numbers of shape .3, 3., got .*f_u"):
+    with refusal("`intrinsics`: expected finite numbers of shape .3, 3., got .*f_u"):
         formats.read(shared / "photos/m3t_shampoo/color_camera.yaml")

@@ -89,7 +89,7 @@ def test_trials_go_on_where_they_stopped(tmp_path):
         done.append((number, shape))
         return {"shape": shape, "number": number}
 
-    asked = _common.Asked(tmp_path, seed=5, resume=True)
+    asked = _common.Options(tmp_path, seed=5, resume=True)
     given = asked, "some", 4, [("ball",), ("cube",)], trial
     rows = _common.trials(*given)
     assert done == [(5, "ball"), (6, "ball"), (7, "cube"), (8, "cube")]

@@ -19,14 +19,15 @@ YES, NO = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
 class Fields:
     """A mapping of names to values, and `where` it was read: a file, and which part of it.
 
-    Every getter raises ValueError with the field, what was expected, what came, and `where`.
+    Every getter raises ValueError with the field (by its name there, if `written` has another),
+    what was expected, what came, and `where`.
     """
 
-    def __init__(self, data: Any, where: str):
+    def __init__(self, data: Any, where: str, written: Mapping[str, str] | None = None):
         if not isinstance(data, Mapping):
             raise ValueError(f"expected fields with names, got {short(data)} (in {where})")
         self.data: Mapping[str, Any] = data
-        self.where = where
+        self.where, self.written = where, written or {}
 
     def __contains__(self, name: str) -> bool:
         return name in self.data
@@ -34,6 +35,7 @@ class Fields:
     def wrong(self, name: str, expected: str, got: Any) -> ValueError:
         """Return the error of a field; `got` is quoted as it stands if it is text."""
         words = got if isinstance(got, str) else short(got)
+        name = self.written.get(name, name)
         return ValueError(f"`{name}`: expected {expected}, got {words} (in {self.where})")
 
     def get(self, name: str, expected: str) -> Any:

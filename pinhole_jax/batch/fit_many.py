@@ -109,7 +109,14 @@ def fit_many(
         results = pj.fit_many(records, executor=threads, out="results")
     ```
     """
-    _check(workers=workers, shard=shard, time_limit=time_limit, retry=retry)
+    _check(
+        items=items,
+        executor=executor,
+        workers=workers,
+        shard=shard,
+        time_limit=time_limit,
+        retry=retry,
+    )
     if track and executor is not None:
         raise ValueError("`executor`: expected None with `track`, got one")
     results = None if out is None else Results(out)
@@ -163,6 +170,14 @@ def _is_shard(value: Any) -> bool:
 #: A test of each argument, and what it expects.
 KNOWN = (*STATUSES, *NO_FIT)
 CHECKS: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "items": (
+        lambda x: isinstance(x, Iterable) and not isinstance(x, str | Mapping),
+        "records, one after another",
+    ),
+    "executor": (
+        lambda x: x is None or isinstance(x, Executor),
+        "a concurrent.futures.Executor",
+    ),
     "workers": (lambda x: x is None or _is_count(x), "an integer of at least 1"),
     "shard": (_is_shard, "(i, n) with i from 1 to n"),
     "time_limit": (

@@ -193,6 +193,7 @@ def _known(file: Fields) -> Fields:
     from . import storage
 
     known: dict[str, Any] = {}
+    written = {name: str(key) for key in file.data if (name := known_name(key)) is not None}
     for key, value in file.data.items():
         name = known_name(key)
         if isinstance(value, str | None) and value in NULLS:
@@ -210,7 +211,7 @@ def _known(file: Fields) -> Fields:
             value = storage.matrix_array(name, value, file.where)
             flat = name != "extrinsic_parameters" and 1 in Fields({name: value}, "").shape(name)
             known[name] = np.ravel(value) if flat else value
-    return Fields(known, file.where)
+    return Fields(known, file.where, written)
 
 
 def known_name(key: Any) -> str | None:
