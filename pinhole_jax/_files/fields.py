@@ -27,7 +27,8 @@ class Fields:
         if not isinstance(data, Mapping):
             raise ValueError(f"expected fields with names, got {short(data)} (in {where})")
         self.data: Mapping[str, Any] = data
-        self.where, self.written = where, written or {}
+        self.where = where
+        self.written: Mapping[str, str] = written or {}
 
     def __contains__(self, name: str) -> bool:
         return name in self.data

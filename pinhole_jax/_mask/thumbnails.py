@@ -47,4 +47,4 @@ def thumbnails(
 
 @eqx.filter_jit
 def _drawn(films: list[Array], scene: Scene) -> Float[Array, "N H W"]:
-    return jax.lax.map(lambda film: on_film(FilmMap(*film, SIZE, SIZE), scene), films)
+    return jax.lax.map(lambda film: on_film(FilmMap(*film, W=SIZE, H=SIZE), scene), films)

@@ -60,7 +60,7 @@ def _coverage_jvp(film: tuple[int, int], primals: Any, tangents: Any):
             return image.at[swept.seen.pixel].add(more, mode="drop")
 
         none = jnp.zeros(film[0] * film[1], image.dtype)
-        return _upright(fold_swept(*view[:2], film, add, none, True), film)
+        return _upright(fold_swept(view[0], view[1], film, add, none, True), film)
 
     def pull(view: Any, weights: Array) -> list[Array]:
         flat, at = jnp.append(weights[::-1].reshape(-1), 0), moving_of(view[2], moves)
@@ -69,11 +69,14 @@ def _coverage_jvp(film: tuple[int, int], primals: Any, tangents: Any):
             back = jax.vjp(change_by(view, swept.seen), at)[1]
             return jax.tree.map(jnp.add, total, back(flat[swept.seen.pixel])[0])
 
-        return fold_swept(*view[:2], film, add, jax.tree.map(jnp.zeros_like, at), True)
+        none = jax.tree.map(jnp.zeros_like, at)
+        return fold_swept(view[0], view[1], film, add, none, True)
 
-    both = (partial(f, (curves, pixels, held)) for f in (push, pull))
+    known = curves, pixels, held
     like = jax.ShapeDtypeStruct(image.shape, image.dtype)
-    return image, linear(*both, moving_of(velocities, moves), like)
+    return image, linear(
+        partial(push, known), partial(pull, known), moving_of(velocities, moves), like
+    )
 
 
 def _image(film: tuple[int, int], curves: Contour, pixels: Pixels) -> Float[Array, "H W"]:

@@ -47,7 +47,7 @@ DEFAULTS: dict[str, Any] = {
     "tidy": SPECK,
 }
 #: The types of fields that nothing else checks.
-TYPES = {"invert": bool, "tidy": bool | float}
+TYPES: dict[str, Any] = {"invert": bool, "tidy": bool | float}
 
 
 def check_record(record: Any) -> dict[str, Any]:

@@ -136,7 +136,7 @@ def detect(
         columns = zip(*((*reading.pose[0], *reading.view[0]) for reading in group), strict=True)
         joined = (" or ".join(dict.fromkeys(column)) for column in columns)
         iou = _iou(image > 0.5 if is_hard else image, target)
-        ranked.append((Hypothesis(iou, *joined, camera), image > 0.5))
+        ranked.append((Hypothesis(iou, *joined, camera=camera), image > 0.5))
     ranked.sort(key=lambda pair: -pair[0].iou)
     return _verdict(ranked, target > 0.5)
 

@@ -236,7 +236,7 @@ def _numbers(image: Image) -> np.ndarray:
 
     def packed(band: Image) -> np.ndarray:
         colours = np.asarray(band.convert("RGB")).astype(np.uint32)
-        return (colours.max(axis=-1) << 24) | (colours @ np.uint32([1 << 16, 1 << 8, 1]))
+        return (colours.max(axis=-1) << 24) | (colours @ np.array([1 << 16, 1 << 8, 1], np.uint32))
 
     return np.asarray(image) if _has_numbers(image) else by_bands(image, packed, dtype=np.uint32)
 

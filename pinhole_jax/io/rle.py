@@ -48,8 +48,9 @@ def mask_of_rle(rle: Input[Mapping[str, object], "size, counts"]) -> UInt8[np.nd
 def _counts(values: Any) -> np.ndarray | None:
     """Return the values as an array of whole numbers of at least 0, or None if they are not."""
     numbers = as_numbers(values)
-    is_counts = numbers is not None and numbers.ndim == 1 and np.all(numbers >= 0)
-    return numbers if is_counts and not np.any(numbers % 1) else None
+    if numbers is None or numbers.ndim != 1:
+        return None
+    return numbers if np.all(numbers >= 0) and not np.any(numbers % 1) else None
 
 
 def _counts_of_text(text: str) -> list[int]:
