@@ -168,7 +168,8 @@ class PointView(NamedTuple):
 
     def move(self) -> Move:
         """A start of the camera's moves, in the solver's units."""
-        return move_about(self.camera, *self.ball, self.bounds, self.H, self.moving)
+        pivot, radius, height = map(jnp.asarray, (*self.ball, self.H))
+        return move_about(self.camera, pivot, radius, self.bounds, height, self.moving)
 
     def plain_move(self) -> Move:
         """A start of the camera's moves as such."""
