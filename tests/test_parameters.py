@@ -90,7 +90,7 @@ def test_names_may_be_in_any_order_and_position_with_orientation_is_the_pose():
 def test_camera_is_changed_by_its_arguments_and_its_pose():
     wide = CAMERA.replace(phi=1.0, W=60)
     assert (float(wide.phi), wide.W, wide.H, float(wide.d)) == (1.0, 60, 20, 2.0)
-    axes = Rotation.random(rng=0).as_matrix() * np.array([[1], [1], [-1]])  # b1, b2, v
+    axes = Rotation.random(random_state=0).as_matrix() * np.array([[1], [1], [-1]])  # b1, b2, v
     there = CAMERA.with_pose([3.0, 2.0, 1.0], axes)
     np.testing.assert_allclose(there.e, [3, 2, 1])
     np.testing.assert_allclose(np.stack(camera_basis(there)), axes, atol=1e-12)

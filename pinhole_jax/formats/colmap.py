@@ -173,7 +173,7 @@ def _posed(images: Path, cameras: Path) -> Iterator[tuple[str, Camera]]:
 def _numbers(values: Iterable[Any], where: str) -> list[float]:
     """Return numbers, which a text's line has as words."""
     try:
-        return [number(value) if isinstance(value, str) else value for value in values]
+        return [number(value) if isinstance(value, str) else float(value) for value in values]
     except ValueError as error:
         raise ValueError(f"expected numbers, got {str(error)[:99]} ({where})") from None
 
