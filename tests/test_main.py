@@ -167,7 +167,7 @@ def test_photo_refines_the_camera(here, capsys):
             "covers 100% of its border, like a black object on white, or labels amid void; give"
             " `--invert`, or where it is right `--mask-from luminance`",
         ),
-        ("fit bumpy.ply sevens.png --fov 34", "no lighter than 7 of 255; labels? alpha, lumin"),
+        ("fit bumpy.ply sevens.png --fov 34", "`--mask-from label=7`"),
         ("fit bumpy.ply dot.png --fov 234", "`--fov`: expected degrees between 1 and 180, got 234"),
         (
             "fit bumpy.ply dot.png --fov 34 --free phi",

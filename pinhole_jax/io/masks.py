@@ -182,7 +182,8 @@ def _at_first_sight(image: Image) -> MaskReading:
             f" white; say what is the object: {WAYS}"
         )
     if 0 < most < DARK:
-        raise ValueError(f"a picture no lighter than {most} of 255; labels? {WAYS}")
+        hint = f"`mask_from` label={most} (--mask-from label={most}) if its object is that"
+        raise ValueError(f"a picture no lighter than {most} of 255; labels? Give {hint}")
     if low > 0 and len(values) == 2:
         return MaskReading(_stretched(grey, values), f"{HAZE}, {low} and {most}")
     hazy = f"{HAZE}, whose background is at least {low} of 255"
