@@ -398,7 +398,7 @@ def at_the_door(step: Step) -> None:
     step.command("exchanged", ["fit", "mask.png", "part.obj"], 2, "`MESH` and `MASK` exchanged?")
     K = "--K", "129.3,129.3,39.5,200", "--dist", "-0.2,0.1,0,0"
     step.command(
-        "K of another picture", fit("mask.png", *K), 2, "point inside the picture", "resized?"
+        "K of another picture", fit("mask.png", *K), 2, "point inside the picture", "cut or resized"
     )
     step.command("a field of view in rad", fit("mask.png", "--fov", "0.577"), 2, "degrees?")
     step.command(

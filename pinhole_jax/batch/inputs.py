@@ -289,8 +289,11 @@ def _phi(record: Record, say: Say) -> float | None:
 
 def check_fov(fov: Any, say: Say) -> None:
     """Raise ValueError unless this is a field of view in degrees; say if it may be radians."""
-    if not (isinstance(fov, int | float) and LEAST_FOV <= fov < 180):
+    in_degrees = (
+        f"degrees? {fov:g} rad are {math.degrees(fov):.1f} degrees" if _is_real(fov) else ""
+    )
+    if not (_is_real(fov) and LEAST_FOV <= fov < 180):
         words = f"expected degrees between {LEAST_FOV:g} and 180, got {fov!r}"
-        raise ValueError(f"`fov`: {words}")
+        raise ValueError(f"`fov`: {words}" + (f": {in_degrees}" if in_degrees else ""))
     if fov < math.pi:
-        say(f"note: `fov`: got {fov:g}: degrees? {fov:g} rad are {math.degrees(fov):.1f} degrees")
+        say(f"note: `fov`: got {fov:g}: {in_degrees}")
