@@ -289,11 +289,11 @@ def _phi(record: Record, say: Say) -> float | None:
 
 def check_fov(fov: Any, say: Say) -> None:
     """Raise ValueError unless this is a field of view in degrees; say if it may be radians."""
-    in_degrees = (
-        f"degrees? {fov:g} rad are {math.degrees(fov):.1f} degrees" if _is_real(fov) else ""
-    )
-    if not (_is_real(fov) and LEAST_FOV <= fov < 180):
+    hint, is_real = "", isinstance(fov, int | float) and not isinstance(fov, bool)
+    if is_real and 0 < fov < math.pi:
+        hint = f": degrees? {fov:g} rad are {math.degrees(fov):.1f} degrees"
+    if not (is_real and LEAST_FOV <= fov < 180):
         words = f"expected degrees between {LEAST_FOV:g} and 180, got {fov!r}"
-        raise ValueError(f"`fov`: {words}" + (f": {in_degrees}" if in_degrees else ""))
-    if fov < math.pi:
-        say(f"note: `fov`: got {fov:g}: {in_degrees}")
+        raise ValueError(f"`fov`: {words}{hint}")
+    if hint:
+        say(f"note: `fov`: got {fov:g}{hint}")
