@@ -261,9 +261,10 @@ def _fit(
             found += behind_something(refiner, best, start)
             kept = likeliest(found, 0, start)
 
+        # Of a drawn mask the likeliest is not where descents on pixels ended: look round it again.
         if kept[0].covariance is not None:
             again = lookalikes(solver, kept[0].found.camera)
-            found += refiner.candidates(again, best=kept[0].log)
+            found += refiner.proposals(again, kept[0].log)
             kept = likeliest(found, 0, start)
 
         # 4. Keep the modes.
@@ -283,31 +284,30 @@ def _fit(
     return fit, lambda: weights.image() if isinstance(weights, NearWeights) else weights
 
 
-def lookalikes(solver: Solver, camera: Camera) -> list[Solution]:
+def lookalikes(solver: Solver, camera: Camera) -> list[Camera]:
     """Cameras that the body looks alike from, and all round the lines that it is round about."""
     cameras = [*solver.subject.alike.views(camera)]
     for line in solver.subject.alike.lines:
         count = min(round(2 * np.pi / (line.pitch or RULES.start)), RULES.turns)
         cameras += turned_about(camera, line, count)[1:]
-    return [Solution(camera, solver.look(camera, solver.finest), ()) for camera in cameras]
+    return cameras
 
 
 def behind_something(refiner: Refiner, plain: Candidate, start: Camera | None) -> list[Candidate]:
     """Candidates that see the object behind something: from what is known, then from all sides."""
     known = [plain.found.camera] if start is None else [start, plain.found.camera]
     solver, mask, edge = refiner.solver, refiner.mask, refiner.edge
-    look = lambda camera: Solution(camera, solver.look(camera, solver.finest), ())
     found: list[Candidate] = []
     best = plain
     for proposed in (
         lambda: near_starts(solver, edge, known),
         lambda: from_all_sides(solver, mask, edge),
     ):
-        found += refiner.candidates(map(look, proposed()), best=best.log)
+        found += refiner.proposals(proposed(), best.log)
         before, best = best, max([best, *found], key=lambda c: c.log)
         if best is not before:
             twins = solver.subject.alike.views(best.found.camera)
-            found += refiner.candidates(map(look, twins), best=best.log)
+            found += refiner.proposals(twins, best.log)
         if start is not None and best.is_explained():
             break
     return found

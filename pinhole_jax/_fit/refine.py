@@ -87,6 +87,11 @@ class Refiner:
             done += [] if made is None else [made]
         return done
 
+    def proposals(self, cameras: Iterable[Camera], best: float) -> list[Candidate]:
+        """The candidates that cameras become, beside one with this logarithm of the likelihood."""
+        look = lambda camera: Solution(camera, self.solver.look(camera, self.solver.finest), ())
+        return self.candidates(map(look, cameras), best=best)
+
     def _refined(
         self,
         found: Solution,

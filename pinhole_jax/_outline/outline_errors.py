@@ -225,7 +225,8 @@ class _Model:
         prior: np.ndarray,
     ) -> _Hypotheses:
         """The hypotheses of errors of sizes (h,), over a length, with biases: of a shape, the power
-        of the distance that they fall off by and the share that is each stretch's own."""
+        of the distance that they fall off by, the share that is each stretch's own, and how many
+        times as much errs over as far as the outline reaches."""
         power, own, whole = shape
         correlation = np.eye(self.count)
         if length:

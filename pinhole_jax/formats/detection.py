@@ -101,9 +101,7 @@ def detect(
     down; or `focal_px`; or `fov`, rad, of the vertical, the horizontal or the diagonal. Without `K`
     the principal point is taken for (W/2, H/2).
 
-    All readings are rendered small, the best in full, both with layers that overlap summed and
-    clamped (`silhouette(..., overlaps=False)`): it compiles sooner. Scale,
-    skew and distortion are not tried.
+    All readings are rendered small, the best in full. Scale, skew and distortion are not tried.
 
     Raises ValueError where the mask is empty or full, the pose no rigid transform, or the
     intrinsics are none or several.
@@ -132,7 +130,7 @@ def detect(
     ranked = []
     for group in _promising(scene, target, [*readings.values()]):
         camera = _camera(group[0])
-        image = np.asarray(silhouette(camera, scene, overlaps=False), float)
+        image = np.asarray(silhouette(camera, scene), float)
         columns = zip(*((*reading.pose[0], *reading.view[0]) for reading in group), strict=True)
         joined = (" or ".join(dict.fromkeys(column)) for column in columns)
         iou = _iou(image > 0.5 if is_hard else image, target)
@@ -204,7 +202,7 @@ def _promising(
     picture = Image.fromarray(target.astype(np.float32))
     small = np.asarray(picture.resize(size, Image.Resampling.BOX), float)
     cameras = (resized(_camera(group[0]), *size) for group in groups)
-    ious = [_iou(silhouette(camera, scene, overlaps=False), small) for camera in cameras]
+    ious = [_iou(silhouette(camera, scene), small) for camera in cameras]
     order = np.argsort(ious)[::-1][:KEPT]
     return (groups[k] for k in order if ious[k] >= 0.5 * max(ious))
 
