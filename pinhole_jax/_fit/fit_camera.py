@@ -93,10 +93,9 @@ def fit_camera(
 
     Levenberg-Marquardt (optimistix) minimises the weighted squared difference of exact coverage and
     target over the camera's pose and log focal length, on images from about 16 pixels across the
-    object up to the full size. Pixels in which contours overlap count as the clamped sum of layers
-    on the coarser ones, and as the union that they are on the full size. Works in the float type of
-    `camera` (or of the scene). The first call compiles (seconds); later ones with scenes and images
-    of similar size do not.
+    object up to the full size. Works in the
+    float type of `camera` (or of the scene). The first call compiles (seconds); later ones with
+    scenes and images of similar size do not.
 
     Runs outside `jit` and `vmap`. The camera of the result is differentiable (once, forward and
     reverse) with respect to scene, target and weight, by the implicit function theorem.
