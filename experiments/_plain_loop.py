@@ -1,9 +1,9 @@
 """The least work that a mask of a mesh before the eye needs, as plain loops, compiled by numba.
 
-Which faces show their front, which edges bound what is seen, where these are on the film, what they
-cover of the pixels that they cross (Green's theorem), and the sum along each row. Layers add up: it
-is right where no contour overlaps another. Planes and edges are worked out once per mesh, as the
-library's are; nothing is behind the eye.
+It finds which faces show their front, which edges bound what is seen, and where these are on the
+film. By Green's theorem it adds what they cover of the pixels that they cross along each row.
+Layers add up: it is right where no contour overlaps another. Planes and edges are worked out once
+per mesh, as the library's are; nothing is behind the eye.
 
 The derivative of a pixel is the contour's length in it times its normal velocity, which is linear
 along an edge: each piece adds the middle's, once for each column. A step of a fit needs it of the

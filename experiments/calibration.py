@@ -3,10 +3,11 @@
     python experiments/calibration.py ranks | matrix [OUT] [--resume] [--only exact,one-bit,drawn]
 
 - `ranks`: simulation-based calibration, by kind of mask. Shape, camera, occluder and errors are
-  drawn from the prior below, the fit starts near the truth, and the rank (normal quantile) of the
-  truth under the fit's Gaussian is uniform if error bars are right: for each parameter, and for
-  distance, px at the film's corner and the place of the object's farthest point. The picture: the
-  ranks' distribution less the uniform one, and how often 95 % intervals hold by difficulty.
+  drawn from the prior below, and the fit starts near the truth. If error bars are right, the rank
+  (normal quantile) of the truth under the fit's Gaussian is uniform. So it must be for each
+  parameter, for distance, px at the film's corner and the place of the object's farthest point.
+  The picture: the ranks' distribution less the uniform one, and how often 95 % intervals hold by
+  difficulty.
 - `matrix`: the covariance of 200 refits beside the predicted one: eigenvalues, worst direction.
 
 The prior: any rotation; size log-uniform, 40 to 220 px on films of 256 x 256; phi uniform, 0.35 to
@@ -16,8 +17,8 @@ weight image hides up to 40 % of the outline. Errors by kind of mask:
 - exact coverage, each pixel off by a normal error (log-uniform, 0.003 to 0.05);
 - coverage above one half: one bit, off by nothing else;
 - an outline that wavers by 0.2 to 2 px over 6 to 60 px (log-uniform), with covariance
-  exp(-distance / length) as the fit assumes, or as smooth as networks draw; all of it outwards by a
-  normal bias of once that and 0.5 px (of five masks one: twice that and 2.5 px); one bit, or 8 bits
+  exp(-distance / length) or as smooth as networks draw. All of it is moved outwards by a normal
+  bias of once that and 0.5 px (of five masks one: twice that and 2.5 px). It is one bit, or 8 bits
   with edges as wide as networks leave.
 """
 
@@ -174,8 +175,8 @@ Values = Callable[[pj.Camera], np.ndarray]
 
 
 def used(scene: pj.Scene, truth: pj.Camera, random: Random) -> Values:
-    """Return a function that gives, of a camera, the logarithm of the distance, px at the film's
-    corner and the place of the object's farthest point, the last two along a random direction."""
+    """Return a function from a camera to the `USED` values: the distance's logarithm, then px and
+    place along a random direction."""
     points = scene.spheres.centers if scene.mesh is None else scene.mesh.vertices
     farthest = max(np.asarray(points), key=np.linalg.norm)
     b1, b2, v = axes_of(truth)

@@ -3,10 +3,10 @@
     python experiments/honesty.py near-symmetric | wrong-masks | occluders | tolerance | \
         unseen-exact | unseen-wrong | unseen-occluders [OUT]
 
-- `near-symmetric`: closed shapes that look alike from several sides (a mug and a can whose handle
-  or bump is out of the outline, an ellipsoid, a sphere with a dent, a plate, a box), five kinds of
-  mask of 128 x 128 pixels, starts 10 to 30 degrees off and none. A lie is a fit that says
-  `converged` while it is more than one degree and more than 4 standard errors off.
+- `near-symmetric`: closed shapes that look alike from several sides. They are a mug and a can
+  whose handle or bump is out of the outline, an ellipsoid, a sphere with a dent, a plate and a box.
+  Five kinds of mask of 128 x 128 pixels, starts 10 to 30 degrees off and none. A lie is a fit that
+  says `converged` while it is more than one degree and more than 4 standard errors off.
 - `wrong-masks`: masks as people and networks make them: grown or shrunk, wavy along stretches of
   the outline, cut off, bitten, kept as JPEG; objects of 40 to 230 px on films of 256 x 256 pixels.
 - `occluders`: a half-plane, a board or a ball hides 10 to 40 % of the outline, and no weight image

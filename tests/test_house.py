@@ -75,6 +75,8 @@ PHRASES = re.compile(
 VAGUE = re.compile(r"Return (what|how|whether|that|where|those)\b")
 
 
+#: The most words of a docstring's sentence.
+MOST_WORDS = 30
 #: Last words of names that name no thing.
 NO_NOUN = re.compile(
     r"(?!Bed|Feed|Seed|Shed|Speed|Embed)(\w+ed|As|At|Begun|Beside|Between|Done|Drawn|Found|Given|"
@@ -237,6 +239,16 @@ def vague_docstrings(files: Texts) -> Figures:
     return Counter(f"{area(path)}: {match.group()}" for path, match in found if match)
 
 
+def long_sentences(files: Texts) -> Figures:
+    """Docstring sentences of more than `MOST_WORDS`; examples and tables are none."""
+    found: Figures = Counter()
+    for path, node in defined(files):
+        prose = re.sub(r"```.*?```|^ *\|.*$", "", ast.get_docstring(node) or "", flags=re.S | re.M)
+        for sentence in re.split(r"(?<=[.:;?!])\s+|\n\s*- |\n\n", prose):
+            found[f"{area(path)}: {sentence[:40]}"] += len(sentence.split()) > MOST_WORDS
+    return +found
+
+
 def names_of_no_thing(files: Texts) -> Figures:
     """Class names and file names that are no nouns."""
     ends = {name: re.split("(?=[A-Z])", name)[-1] for name in class_names(files)}
@@ -270,6 +282,7 @@ FIGURES: dict[str, Callable[[Texts], Figures]] = {
         long_functions,
         phrases,
         vague_docstrings,
+        long_sentences,
         names_of_no_thing,
         filler_functions,
         names_without_a_noun_first,
@@ -414,6 +427,8 @@ PATH, CPP_PATH, TEST = f"{FIT}/a.py", "x/a.cc", f"{TESTS}/a.py"
         (phrases, TEST, "[word for word in words] # this told, of whatever, in wordsworth", {}),
         (vague_docstrings, TEST, 'def f(): "Return whether."', {"tests: Return whether": 1}),
         (vague_docstrings, TEST, 'def f(): "Return thatch."', {}),
+        (long_sentences, TEST, f'def f(): "{"so " * 31}"', {f"tests: {('so ' * 31)[:40]}": 1}),
+        (long_sentences, TEST, f'def f(): "{"so " * 29}on. On."', {}),
         (names_of_no_thing, PATH, "class _PointsSeen: ...\nclass Speed: ...", {"PointsSeen": 1}),
         (names_of_no_thing, f"{PACKAGE}/cut_and_turned.py", "", {"cut_and_turned.py": 1}),
         (filler_functions, TEST, "def office(): ...\ndef _one(): ...", {"tests: _one": 1}),

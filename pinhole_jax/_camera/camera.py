@@ -69,11 +69,12 @@ class Camera(eqx.Module):
 
     Raises ValueError where an argument has another shape or dtype than documented, is not finite,
     or makes no camera: `e` equal to `p`, `u` parallel to the view, `phi` outside (0, pi), `d <= 0`,
-    `W` or `H` below 1, more than 2^30 pixels, a lens whose image folds back within the film or
-    reaches 90 degrees from the axis there. Arguments that are being traced are checked for shape
-    only: where they make no camera (e = p, u along the view) all points project to the principal
-    point, a silhouette is 0, rays run along the view (and are shorter than 1) or are null and miss,
-    and derivatives are finite.
+    `W` or `H` below 1, more than 2^30 pixels; or a lens whose image folds back within the film or
+    reaches 90 degrees from the axis there.
+
+    Traced arguments are checked for shape only. Where they make no camera (e = p, u along the
+    view) all points project to the principal point and a silhouette is 0. Rays run along the view
+    (and are shorter than 1) or are null and miss, and derivatives are finite.
 
     ```python
     nearer = camera.replace(e=[0.3, 1, 4])  # checked as the constructor does

@@ -133,8 +133,8 @@ def _largest(vectors: Float[Array, "*batch 3"]) -> Float[Array, "*batch 1"]:
 def turned(matrix: Float[Array, "3 3"], directions: Float[Array, "*batch 3"]) -> Array:
     """The product of a matrix and directions.
 
-    Column by column: XLA's CPU compiler makes a kernel of its own of a sum over an axis of three,
-    which takes 40 ns a number, and was more than half of a fit's step.
+    Column by column: XLA's CPU compiler makes a kernel of its own of a sum over an axis of three.
+    That takes 40 ns a number, and was more than half of a fit's step.
     """
     columns = matrix.T.reshape((3,) + (1,) * (directions.ndim - 1) + (3,))
     return functools.reduce(jnp.add, [columns[k] * directions[..., k, None] for k in range(3)])

@@ -92,10 +92,9 @@ def fit_camera(
       better. `rms` and `iou` are always the mask's.
 
     Levenberg-Marquardt (optimistix) minimises the weighted squared difference of exact coverage and
-    target over the camera's pose and log focal length, on images from about 16 pixels across the
-    object up to the full size. Works in the
-    float type of `camera` (or of the scene). The first call compiles (seconds); later ones with
-    scenes and images of similar size do not.
+    target over the camera's pose and log focal length. Images grow from about 16 pixels across the
+    object to the full size. The fit works in the float type of `camera` (or of the scene). The
+    first call compiles (seconds); later ones with scenes and images of similar size do not.
 
     Runs outside `jit` and `vmap`. The camera of the result is differentiable (once, forward and
     reverse) with respect to scene, target and weight, by the implicit function theorem.
@@ -212,8 +211,8 @@ class Settings(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class _Mode:
     """A camera that may be right: what was `found`, the sums `over_all` pixels, how the mask's
-    outline errs, where the mask is not exact the account of its edge, and where that is drawn the
-    camera's covariance (n, n) by moves."""
+    outline errs. If the mask is not exact, the account of its edge; if that is drawn, the camera's
+    covariance (n, n) by moves."""
 
     found: Solution
     over_all: Sums

@@ -1,8 +1,8 @@
 """How likely a mask is if a camera saw it: one number for all of its edge.
 
-The offsets y (px, outwards) of the mask's edge from the outline that a camera sees, at N blocks of
-the edge, are X t + b + g + q, as `outline_errors` has them, but for runs of blocks that are gross:
-an occluder, a hole, a part that the mesh lacks. What y is there does not count (the nearest outline
+Let y (px, outwards) be the offsets of N blocks of the mask's edge from the outline that a camera
+sees. They are X t + b + g + q, as in `outline_errors`, but for runs of blocks that are gross: an
+occluder, a hole, a part that the mesh lacks. What y is there does not count (the nearest outline
 may change sides); a run costs what a smooth curve as large as the object takes to describe, and
 each of its ends log N, since it may be at any block. Outline that the mask has no edge beside, and
 that nothing hides, costs as much.

@@ -3,7 +3,7 @@
 A derivative speaks for the neighbourhood of one camera. Facets of a round body give a turn that
 the mask hardly shows sharp minima, one beside the other; symmetric bodies look alike from several
 sides. So a fit whose Jacobian calls a turn or shift nearly free walks along it, in steps that leave
-such a minimum, descends again at each, and asks whether the mask's own noise forbids what it finds.
+such a minimum. It descends again at each, and asks whether the mask's own noise forbids the place.
 """
 
 from collections.abc import Iterable, Iterator

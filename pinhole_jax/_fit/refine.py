@@ -31,9 +31,9 @@ STEPS, EARLY, STILL = 16, 2, 0.1
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A camera that may be right: what was `found` on the pixels that count, the `whole` view, the
-    account of the mask's edge, the solvers of the pixels that count and of more of them, and if the
-    edge is drawn, and generalised least squares led there, the covariance (n, n) by moves."""
+    """A camera that may be right: what was `found` on the pixels that count, the `whole` view, and
+    the account of the mask's edge. `near` and `wide` solve on the pixels that count and on more of
+    them. `covariance` (n, n) is by moves, if generalised least squares led there."""
 
     found: Solution
     whole: View

@@ -85,8 +85,8 @@ def fit_joint(
 
     Runs outside `jit` and `vmap`. Cameras, objects' poses and scales of the result are
     differentiable (once, forward and reverse) with respect to views' scenes, targets, weights,
-    mounts and places, by the implicit function theorem, as views and pixels count in the end; where
-    nothing is known beforehand, and there are no photos.
+    mounts and places. The implicit function theorem takes views and pixels as they count in the
+    end. Priors and photos are refused then.
 
     Raises ValueError for arguments that make no fit; the solver's troubles are in
     `JointFit.status`.
@@ -145,10 +145,10 @@ def fit_cameras(
     - `max_steps`: a limit for each level, and for each descent from another place.
     - `progress`: as in `fit_camera`; a function is called with words after each level.
 
-    It is `fit_joint` of one scene before separate cameras. As `fit_camera` does, and with the
-    others' knowledge of shared parameters, it looks for places of each view that fit as well (its
-    `modes`, "ambiguous") or better (then all descend from there), and for moves that are free over
-    an interval (`weak`, "rank_deficient", a larger covariance). A start rules out what is far from
+    It is `fit_joint` of one scene before separate cameras. Each view is searched as in
+    `fit_camera`, with the others' knowledge of shared parameters. Places that fit as well are its
+    `modes` ("ambiguous"); from better ones all descend. Moves that are free over an interval widen
+    the covariance (`weak`, "rank_deficient"). A start rules out what is far from
     it; where a mask matches badly, the whole sphere of views is searched.
 
     The covariance of each fit is that of the joint problem: knowledge of all views is in it. The

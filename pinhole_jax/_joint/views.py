@@ -1,7 +1,7 @@
 """Views of one problem: which unknown transforms stand between a view's scene and its camera.
 
-A view sees its scene through `mount X rig`, where X is the unknown pose of a camera (or of the rig
-that it is fixed to) on what carries it, and Y `placed`, where Y is the unknown pose of an object. A
+A view sees its scene through `mount X rig` and Y `placed`. X is the unknown pose of a camera (or
+of the rig that it is fixed to) on its carrier, Y that of an object. A
 small motion of X or Y is one of the camera in the scene's frame, by an adjoint; and a scene that is
 s times as large looks as it did from s times as near. So what one view's program says of its own
 camera says all about the unknowns, and no other program is compiled.

@@ -1,7 +1,7 @@
 """What residual a right camera leaves in a mask, by the kind of mask.
 
-A mask tells by itself how it was made: computed (each pixel its exact coverage), quantised to 8
-bits or to a few samples a pixel, cut to one bit, noisy all over, or with edges wider than a pixel.
+A mask shows how it was made: computed (each pixel its exact coverage), quantised to 8 bits or a
+few samples a pixel, cut to one bit, noisy all over, or with edges wider than a pixel.
 Where that settles what is left at a right camera, a fit that leaves more is not at one.
 """
 
@@ -160,8 +160,8 @@ def _noise_far_from_edges(
     target: np.ndarray, weights: np.ndarray, some: _PartialPixels, quiet: float
 ) -> tuple[float, float, bool, float]:
     """Return the standard deviation of pixels that are 0 or 1 for certain, the mean of their
-    weighted squares, whether the noise is the same everywhere, and if it is the standard error of
-    the sum of as many as are not certain.
+    weighted squares, and whether the noise is the same everywhere. Last, if it is, the standard
+    error of the sum of as many pixels as are not certain.
 
     `some` are the pixels that are not 0 or 1: the others are off by nothing. What is off by `quiet`
     at most is no noise.

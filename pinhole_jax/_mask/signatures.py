@@ -37,8 +37,8 @@ def signatures(
     """Return the signatures of images (N, H, W); focal lengths and principal point in px.
 
     Where `weight` (H, W) is 0 nothing is known of the image. Where a part is `hidden`, in a
-    direction (rad, from the film's right to its top), its middle lies farther there, it is larger,
-    and what lies there is not known.
+    direction (rad, from the film's right to its top), nothing is known: the middle lies farther
+    there, and the object is larger.
     """
     images, weight = images[:, ::-1], weight[::-1]  # rows from the film's bottom
     N, H, W = images.shape

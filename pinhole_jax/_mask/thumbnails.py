@@ -29,8 +29,8 @@ def axes_inward(directions: np.ndarray) -> np.ndarray:
 def thumbnails(
     scene: Scene, ball: Ball, eyes: np.ndarray, axes: np.ndarray, phi: float
 ) -> np.ndarray:
-    """Return coverage (N, SIZE, SIZE), row 0 on top, as seen from eyes (N, 3), from the centre of
-    the ball about the scene and in its radii, with such camera axes (N, 3, 3)."""
+    """Return coverage (N, SIZE, SIZE), row 0 on top, seen from eyes (N, 3) with camera axes
+    (N, 3, 3). Eyes are from the centre of the ball about the scene, in its radii."""
     right, up, forward = np.moveaxis(axes, 1, 0)
     focal, middle = SIZE / (2 * np.tan(phi / 2)), SIZE / 2
     matrix = np.stack([focal * right + middle * forward, focal * up + middle * forward, forward], 1)

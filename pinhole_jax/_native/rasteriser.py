@@ -83,9 +83,9 @@ def scene_arrays(scene: Scene, real: Any) -> list[Any]:
 def sphere_frames(film: FilmMap, spheres: Spheres) -> Float[Array, "S 9"]:
     """The spheres' outlines: homogeneous film points `row 0 + row 1 w_1 + row 2 w_2`, |w| = 1.
 
-    Rays touch a sphere (centre c from the eye, radius r) on a circle, in the directions
-    `c t / |c|^2 + (r / |c|) (e1 w_1 + e2 w_2)` of unit length, with t the tangent's length and e1,
-    e2 perpendicular to c. Their film points are a conic.
+    Rays touch a sphere (centre c from the eye, radius r) on a circle. Their unit directions are
+    `c t / |c|^2 + (r / |c|) (e1 w_1 + e2 w_2)`: t is the tangent's length, e1 and e2 are
+    perpendicular to c. Their film points are a conic.
     """
     x, y, z = (spheres.centers - film.eye[None]).T
     ring = jnp.stack(ring_at(x, y, z, spheres.radii), axis=1)

@@ -1,8 +1,7 @@
 """Values that differ from device to device within `jax.shard_map`.
 
-There JAX keeps, in a value's type, the axes of the devices that it varies over, and refuses loops
-and calls that mix values of different axes, such as a counter that starts at 0 and a sum of values
-that vary.
+There JAX keeps, in a value's type, the axes of the devices that it varies over. It refuses loops
+and calls that mix values of different axes: a counter that starts at 0, a sum of values that vary.
 """
 
 from collections.abc import Sequence

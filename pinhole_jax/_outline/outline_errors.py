@@ -6,11 +6,11 @@ of squares tells two cameras apart less well. The offset of the mask's outline f
 stretch by stretch, shows how large such errors are and how far they reach.
 
 The offsets y (px, outwards) at N stretches are taken as X t + b + g + q: the camera's own error t
-by the derivatives X, a bias b of the whole outline, errors g with covariance
-exp(-(distance/length)^power), rough or smooth, but for a share that is each stretch's own, and
-quantisation q. What the camera absorbs does not show, so sizes, lengths and shapes are weighed by
-their restricted likelihood (Patterson and Thompson 1971: t and b integrated out), the hypothesis
-that the mask is computed (q alone) among them; a covariance is the mean of the hypotheses'.
+by the derivatives X, a bias b of the whole outline, errors g, and quantisation q. A share of g is
+each stretch's own; the rest has covariance exp(-(distance/length)^power), rough or smooth. What
+the camera absorbs does not show, so sizes, lengths and shapes are weighed by their restricted
+likelihood (Patterson and Thompson 1971: t and b integrated out). The hypothesis that the mask is
+computed (q alone) is among them; a covariance is the mean of the hypotheses'.
 """
 
 from typing import Any, NamedTuple
@@ -224,9 +224,12 @@ class _Model:
         bias: np.ndarray,
         prior: np.ndarray,
     ) -> _Hypotheses:
-        """The hypotheses of errors of sizes (h,), over a length, with biases: of a shape, the power
-        of the distance that they fall off by, the share that is each stretch's own, and how many
-        times as much errs over as far as the outline reaches."""
+        """The hypotheses of errors of sizes (h,), over a length, with biases.
+
+        A shape is a power, a share and a number. Errors fall off by that power of the distance;
+        the share is each stretch's own. The number says how many times as much errs over as far as
+        the outline reaches.
+        """
         power, own, whole = shape
         correlation = np.eye(self.count)
         if length:

@@ -262,8 +262,8 @@ class Coverage(NamedTuple):
 def _differing(
     outline: np.ndarray, coverage: Coverage, target: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return pixels (k, 2) about those (P, 2) of an outline where a target (H, W), row 0 at the
-    bottom, is not what is covered, and by how much it is more.
+    """Return pixels (k, 2) near an outline's (P, 2) where a target (H, W) is not the coverage, and
+    by how much it is more. (Row 0 of the target is at the bottom.)
 
     What is looked at are blocks about the outline: `nearby` asks for no more.
     """

@@ -51,14 +51,14 @@ class PointFit(CameraResult):
     - `camera`: the fitted camera.
     - `status`: "converged" (trust the camera only then), "ambiguous" (the cameras of `modes` see
       the points as well), "unchecked" (no more coordinates than unknowns: the camera meets the
-      points however far these err), "uncertain" (the points' errors may leave a rotation of several
-      degrees open), "misfit" (points lie far from where they are seen), "rank_deficient" (some
-      direction moves no point: `weak` names it), "max_steps", "behind" (a point would lie behind
-      the eye) or "non_finite".
+      points however far these err). Or "uncertain" (the points' errors may leave a rotation of
+      several degrees open), "misfit" (points lie far from where they are seen), "rank_deficient"
+      (some direction moves no point: `weak` names it). Or "max_steps", "behind" (a point would lie
+      behind the eye), "non_finite".
     - `names`: the fitted parameters, in the order of `covariance` (n, n) and `std` (n,), as in
       `Fit`. The covariance is that of the joint problem and assumes that all coordinates err
-      independently and alike (those of points with weights, with variances in inverse proportion
-      to these), by `noise_px`, or by as much as the residuals say. Where these say that errors are
+      independently and alike, by `noise_px` or by as much as the residuals say. (Weights divide
+      variances.) Where these say that errors are
       alike within each view, as a bent board's, it is widened by as much as views disagree. Few
       coordinates say it badly: where up to 30 more than unknowns do, it is widened so that 95 %
       intervals hold the truth (Student's t), and where none does it is infinite. Points that are

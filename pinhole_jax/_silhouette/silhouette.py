@@ -17,7 +17,7 @@ def silhouette(camera: Camera, scene: Scene, overlaps: bool = True) -> Float[Arr
     """The fraction of each pixel's square that the scene covers: (H, W), row 0 on top.
 
     Exact (box filter, no sampling, no blur) for any scene: the coverage of the union of all
-    projected triangles and spheres, whether meshes are closed or open, wind consistently or not,
+    projected triangles and spheres. Meshes may be closed or open, wind consistently or not,
     overlap, reach through the plane of the eye or surround it. An eye inside a closed mesh or a
     sphere sees everything covered. The cost follows the occluding contour. Coverage is in [0, 1]
     for coordinates of any size; but the visible side of a face is undefined if its corners'

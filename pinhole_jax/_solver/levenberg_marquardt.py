@@ -35,7 +35,7 @@ class _LevenbergMarquardt(optx.AbstractGaussNewton):
     """optimistix's Levenberg-Marquardt, which also stops when the next step is negligible, or after
     `steps`, and has its way and what it last accepted among its `stats`.
 
-    Its own test compares residuals entry by entry, which change places here from step to step, and
+    Its own test compares residuals entry by entry; here they change places from step to step. It
     never stops while steps are rejected (in float32, at the rounding floor, until `max_steps`).
     """
 
@@ -119,8 +119,8 @@ class _Static(eqx.Module):
 @eqx.filter_jit
 def descended(camera: Camera, problem: Problem, level: Level, px, settled, steps, freed, size):
     """The number of steps until they are shorter than `px` or than this share of a standard error
-    (`settled`, this many `steps` at most), where the first of them ended, and the look at the end:
-    after one step (which evaluates the start) at the start.
+    (`settled`), at most `steps`; where the first of them ended, and the look at the end. After one
+    step (which evaluates the start) that is at the start.
     """
     move = problem.move(camera, level, freed)
     args = (move, problem, level, _Static(freed), _Static(size))

@@ -129,8 +129,8 @@ def reported(camera: Camera, moved: Camera, free: tuple[str, ...]) -> Float[Arra
     """Return the reported parameters of `moved` (`labels_of`); rotations are small ones away from
     `camera`.
 
-    `rotation_b1, rotation_b2, rotation_v` turn the camera about its own axes (rad), `e_x, e_y, e_z`
-    are the eye in world units, `phi` in rad, `d` in world units, the principal point in px.
+    `rotation_b1, rotation_b2, rotation_v` turn the camera about its own axes (rad); `e_x, e_y, e_z`
+    are the eye. Units: world for `e` and `d`, rad for `phi`, px for the principal point.
     """
     labels, small = labels_of(free), {}
     if "rotation_v" in labels:

@@ -4,8 +4,8 @@ A row is what `free` may name. All else that depends on a parameter reads it fro
 units, bounds, what views may share, the table of a fit and its words. Another coefficient of a
 lens is another field of its model (`distortion`); the rows of coefficients are made of these.
 
-Pose moves are taken about a pivot (the middle of the scene), so that turning the camera
-around the object, shifting it and changing the distance move the outline in ways of their own.
+Pose moves are taken about a pivot, the middle of the scene. So turns of the camera around the
+object, its shifts and its distance move the outline in ways of their own.
 Focal length and distance are logarithmic: no step makes them negative.
 """
 
@@ -39,8 +39,8 @@ class Scale(NamedTuple):
 
 
 class Component(NamedTuple):
-    """A component of a move: its name, what it is called (the parts of a vector alike), the size
-    that moves the outline by about a pixel, and whether it is part of a rotation vector."""
+    """A component of a move: its name, its words (the parts of a vector share them), the size that
+    moves the outline by about a pixel, and whether a rotation vector has it."""
 
     name: str
     words: str

@@ -19,9 +19,9 @@ KEPT_CELLS = 2**23
 
 
 class LevelsKey(NamedTuple):
-    """What the levels of a mask depend on: the mask (H, W) and how much its pixels count, the
-    residual that its kind explains, if that says so, the window that is looked at, and whether the
-    finest level is all that is asked for."""
+    """What the levels of a mask depend on: the mask (H, W), the weights of its pixels, the residual
+    that its kind explains (if it says so), the window, and whether only the finest level is
+    wanted."""
 
     target: np.ndarray
     weights: Weights

@@ -34,11 +34,11 @@ def load_mesh(path: str | os.PathLike[str], say: Callable[[str], object] | None 
 
     Raises FileNotFoundError, or ValueError where the file is no mesh, has no faces, or fewer or
     more data than its header says. Also for vertices that are not finite, faces that name vertices
-    it does not have, and polygons whose sides cross or that take more than seconds to cut (some 100
-    000 corners, unless the first sees them all). The feature, field or face is named. Not read are
-    curved surfaces (obj), binary or not three dimensions (off), skins and polygons with holes
-    (dae). Of glTF: skins, morph targets whose weights are not 0, instances, fans, sparse or
-    normalised positions, compression (Draco, meshopt), other required extensions.
+    it does not have, and polygons whose sides cross. Nor may a polygon take more than seconds to
+    cut (some 100 000 corners, unless the first sees them all). The feature, field or face is
+    named. Not read are curved surfaces (obj), binary or not three dimensions (off), skins and
+    polygons with holes (dae). Of glTF: skins, morph targets whose weights are not 0, instances,
+    fans, sparse or normalised positions, compression (Draco, meshopt), other required extensions.
 
     What else trimesh reads (3mf), `pj.Mesh(trimesh.load_mesh(path))` takes, unchecked.
 
