@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 
 from .._camera.camera import Camera
 from .._numerics.arrays import is_concrete
-from .._scene.scene import Scene, astype, check_view
+from .._scene.scene import Scene, check_view
 from .._silhouette.silhouette import silhouette
 from .differences import STEPS, Scales, Slopes, outside, slopes
 from .directions import Probe, camera_and_scene
@@ -74,9 +74,17 @@ class Certificate(NamedTuple):
         return "\n".join([_summary(self), HEAD, *map(_line, self.rows)])
 
 
-class _Reverse(NamedTuple):
-    """A weight for each pixel, and the gradient of the image's weighted sum."""
+class _Subject(NamedTuple):
+    """An image under test at a point, a camera and a scene.
 
+    - `fine`: the point in JAX's default float type, for differences; `middle`: the image there.
+    - `weight`, `gradient`: one pull through reverse mode: of the image's weighted sum.
+    """
+
+    image: Callable[[Camera, Scene], Array]
+    point: Any
+    fine: Any
+    middle: np.ndarray
     weight: np.ndarray
     gradient: Any
 
@@ -117,25 +125,35 @@ def check_gradients(
     ```
     """
     _check(camera, scene, tolerance, directions)
-    # Casting up is exact: the differences are those of the very same camera and scene.
-    point = (camera, astype(scene, camera.e.dtype))
-    fine = _cast(point, jnp.zeros(()).dtype)
-    middle = _render(image, fine)
-    _check_image(middle, camera)
-    scales = Scales.for_precision(camera.e.dtype, middle.dtype, max(middle.shape), tolerance)
-    reverse = _reverse(image, point, seed)
-    still = jax.tree.map(jnp.zeros_like, eqx.filter(point, eqx.is_inexact_array))
-    rows = []
-    for direction in camera_and_scene(point, scales, directions, seed):
-        tangent = eqx.tree_at(direction.where, still, jnp.asarray(direction.value))
-        derivative = np.asarray(_forward(image, point, tangent), float)
-        images = (np.asarray(middle, float), *_shifted_images(image, fine, direction))
-        rows.append(_row(direction, derivative, images, scales, reverse))
-    passed = all(row.verdict in RIGHT for row in rows)
-    certificate = Certificate(tuple(rows), passed and any(row.verdict == "ok" for row in rows))
+    subject = _subject(image, camera, scene, seed)
+    scales = Scales.for_precision(
+        camera.e.dtype, subject.middle.dtype, max(camera.H, camera.W), tolerance
+    )
+    probes = camera_and_scene(subject.point, scales, directions, seed)
+    rows = tuple(_row(subject, probe, scales) for probe in probes)
+    verdicts = {row.verdict for row in rows}
+    certificate = Certificate(rows, "ok" in verdicts and verdicts <= {*RIGHT})
     if verbose:
         print(certificate)
     return certificate
+
+
+def _subject(image: Callable, camera: Camera, scene: Scene, seed: int) -> _Subject:
+    """Return an image, rendered and pulled back; no weight is small, so every pixel counts."""
+    point = _cast((camera, scene), camera.e.dtype)
+    fine = _cast(point, jnp.zeros(()).dtype)  # exact: the very same camera and scene
+    middle = _render(image, fine)
+    _check_image(middle, camera)
+    random = np.random.default_rng(seed)
+    weight = random.uniform(0.5, 1.5, middle.shape) * random.choice([-1, 1], middle.shape)
+    weight = weight.astype(np.float32)  # exact in either precision
+    gradient = _gradient(image, point, jnp.asarray(weight))
+    return _Subject(image, point, fine, np.asarray(middle), weight.astype(float), gradient)
+
+
+def _cast(point: Any, dtype: np.dtype) -> Any:
+    cast = lambda x: x.astype(dtype) if eqx.is_inexact_array(x) else x
+    return jax.tree.map(cast, point)
 
 
 @eqx.filter_jit
@@ -158,58 +176,38 @@ def _gradient(image: Callable, point: Any, weight: Array) -> Any:
     return eqx.filter_grad(loss)(point)
 
 
-def _reverse(image: Callable, point: Any, seed: int) -> _Reverse:
-    """Return one pull through reverse mode; no weight is small, so every pixel counts."""
-    random = np.random.default_rng(seed)
-    shape = (point[0].H, point[0].W)
-    weight = random.uniform(0.5, 1.5, shape) * random.choice([-1, 1], shape)
-    weight = weight.astype(np.float32)  # exact in either precision
-    return _Reverse(weight.astype(float), _gradient(image, point, jnp.asarray(weight)))
+def _moved_image(subject: _Subject, probe: Probe, h: float) -> np.ndarray:
+    """Return the image at h times a direction from the point."""
+    leaf = np.asarray(probe.where(subject.fine))
+    moved = jnp.asarray(leaf + h * probe.value, leaf.dtype)
+    point = eqx.tree_at(probe.where, subject.fine, moved)
+    return np.asarray(_render(subject.image, point), float)
 
 
-def _shifted_images(image: Callable, point: Any, direction: Probe) -> tuple[np.ndarray, np.ndarray]:
-    """Return the images at x + h and at x - h, for each of the steps h."""
-    leaf = direction.where(point)
-
-    def image_at(h: float) -> np.ndarray:
-        value = jnp.asarray(np.asarray(leaf) + h * direction.value, leaf.dtype)
-        return np.asarray(_render(image, eqx.tree_at(direction.where, point, value)), float)
-
-    up, down = ([image_at(sign * direction.step * k) for k in STEPS] for sign in (1, -1))
-    return np.stack(up), np.stack(down)
-
-
-def _row(
-    direction: Probe,
-    derivative: np.ndarray,
-    images: tuple[np.ndarray, np.ndarray, np.ndarray],
-    scales: Scales,
-    reverse: _Reverse,
-) -> Row:
-    middle, up, down = images
-    tolerance, least = scales.tolerance, scales.least * scales.step_px / direction.step
+def _row(subject: _Subject, probe: Probe, scales: Scales) -> Row:
+    still = jax.tree.map(jnp.zeros_like, eqx.filter(subject.point, eqx.is_inexact_array))
+    tangent = eqx.tree_at(probe.where, still, jnp.asarray(probe.value))
+    derivative = np.asarray(_forward(subject.image, subject.point, tangent), float)
+    steps = probe.step * np.asarray(STEPS)
+    up, down = (
+        np.stack([_moved_image(subject, probe, h) for h in sign * steps]) for sign in (1, -1)
+    )
+    tolerance, least = scales.tolerance, scales.least * scales.step_px / probe.step
     with np.errstate(invalid="ignore"):  # the verdict reports it, no warning
-        largest = np.max(np.abs(up[0] - down[0])) / (2 * direction.step)
+        largest = np.max(np.abs(up[0] - down[0])) / (2 * probe.step)
         scale = max(largest, least)
-        nearby = slopes(middle, up, down, direction.step, tolerance / 2 * scale)
+        middle = subject.middle.astype(float)
+        nearby = slopes(middle, up, down, probe.step, tolerance / 2 * scale)
         errors = outside(derivative, nearby) / scale
-        gap = _mode_gap(direction, derivative, least, reverse)
+        gap = _mode_gap(subject, probe, derivative, least)
     verdict = _verdict(errors, gap, nearby, scales, scale)
     if verdict == "ok" and largest <= tolerance * least:
         verdict = "moves nothing"
     shown = np.abs(nearby.central) if np.max(errors) <= tolerance else errors
-    pixel = np.unravel_index(np.argmax(shown), shown.shape)  # the first NaN, if there is one
-    return Row(
-        direction.name,
-        float(derivative[pixel]),
-        float(nearby.central[pixel]),
-        (int(pixel[0]), int(pixel[1])),
-        direction.step,
-        float(np.max(errors)),
-        gap,
-        int(np.sum(nearby.kink)),
-        verdict,
-    )
+    row, column = np.unravel_index(np.argmax(shown), shown.shape)  # the first NaN, if any
+    values = float(derivative[row, column]), float(nearby.central[row, column])
+    counts = float(np.max(errors)), gap, int(np.sum(nearby.kink))
+    return Row(probe.name, *values, (int(row), int(column)), probe.step, *counts, verdict)
 
 
 def _verdict(errors: np.ndarray, gap: float, nearby: Slopes, scales: Scales, scale: float) -> str:
@@ -223,19 +221,14 @@ def _verdict(errors: np.ndarray, gap: float, nearby: Slopes, scales: Scales, sca
     return "undecided" if np.sum(nearby.kink) > KINKS_ALLOWED * np.sum(moving) else "ok"
 
 
-def _mode_gap(direction: Probe, derivative: np.ndarray, least: float, reverse: _Reverse) -> float:
+def _mode_gap(subject: _Subject, probe: Probe, derivative: np.ndarray, least: float) -> float:
     """Return the relative distance of <gradient, direction> from <weight, derivative>."""
-    moved = direction.value != 0  # a NaN elsewhere belongs to another row
-    gradient = np.asarray(direction.where(reverse.gradient), float)
-    pulled = np.sum(gradient[moved] * direction.value[moved])
-    parts = reverse.weight * derivative
+    moved = probe.value != 0  # a NaN elsewhere belongs to another row
+    gradient = np.asarray(probe.where(subject.gradient), float)
+    pulled = np.sum(gradient[moved] * probe.value[moved])
+    parts = subject.weight * derivative
     scale = max(np.sum(np.abs(parts)), least * sum(derivative.shape))
     return float(np.abs(pulled - np.sum(parts)) / scale)
-
-
-def _cast(point: Any, dtype: np.dtype) -> Any:
-    camera, scene = point
-    return jax.tree.map(lambda x: x.astype(dtype), camera), astype(scene, dtype)
 
 
 def _check_image(image: Any, camera: Camera) -> None:

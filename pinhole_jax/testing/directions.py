@@ -1,12 +1,16 @@
 """Directions to move a camera and a scene in, one at a time, and their steps."""
 
 from collections.abc import Callable, Iterator
+from operator import attrgetter
 from typing import Any, NamedTuple
 
+import equinox as eqx
+import jax
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
-from .._camera.camera import Camera, focal_px
+from .._camera.camera import Camera
+from .._camera.rays import project, rays_through
 from .._scene.scene import Scene, bounding_sphere
 from .differences import Scales
 
@@ -32,76 +36,60 @@ def camera_and_scene(point: Point, scales: Scales, directions: int, seed: int) -
     A vertex moves independently of its neighbours. If differences are coarse it moves smoothly with
     them: over a long step the outline would jump from vertex to vertex.
     """
-    for name, where, scale in _camera_leaves(*point):
-        leaf = np.asarray(where(point))
-        for index in np.ndindex(leaf.shape):
-            unit = np.zeros_like(leaf)
-            unit[index] = 1
-            axis = "." + "xyz"[index[0]] if index else ""
-            yield Probe(name + axis, where, unit, _power_of_two(scales.step_px * scale))
-    random = np.random.default_rng(seed)
-    step = _power_of_two(scales.step_px * _distance(*point) / float(focal_px(point[0])[1]))
-    for name, where in _scene_leaves(point[1]):
-        leaf = np.asarray(where(point))
-        for k in range(directions):
+    random, motion = np.random.default_rng(seed), (_motion(*point), None)
+    for number, name, where in _float_arrays(point):
+        leaf, in_scene = np.asarray(where(point)), number == 1
+        # (What moves nothing is taken to turn the picture round; vertices move as the eye does.)
+        px = np.max(np.abs(motion[0].e if in_scene else where(motion))) or point[0].W / np.max(leaf)
+        step = float(2.0 ** np.round(np.log2(scales.step_px / px)))
+        for k in range(directions * in_scene):
             value = random.uniform(-1, 1, leaf.shape)
             if name == "vertices" and not scales.exact:
                 value = _waves(leaf, random)
             yield Probe(f"{name} #{k + 1}", where, value.astype(leaf.dtype), step)
+        for index in () if in_scene else np.ndindex(leaf.shape):
+            unit = np.zeros_like(leaf)
+            unit[index] = 1
+            yield Probe(".".join([name, *("xyz"[k] for k in index)]), where, unit, step)
 
 
-def _waves(vertices: np.ndarray, random: np.random.Generator) -> np.ndarray:
-    """Return a smooth displacement of each vertex, between -1 and 1: a random wave."""
-    middle, extent = vertices.mean(axis=0), np.ptp(vertices, axis=0).max()
-    wave = random.normal(size=(3, 3)) * np.pi / (extent or 1)
-    return np.sin((vertices - middle) @ wave + random.uniform(0, 2 * np.pi, 3))
+def _float_arrays(point: Point) -> Iterator[tuple[int, str, Callable]]:
+    """Yield the arrays of a camera (0) and a scene (1): which of both, name, and how to pick it."""
+    leaves = jax.tree_util.tree_leaves_with_path(eqx.filter(point, eqx.is_inexact_array))
+    for (part, *path), leaf in leaves:
+        names = [key.name for key in path]
+        pick = attrgetter(".".join(names))
+        if leaf.size:
+            yield part.idx, names[-1], lambda x, number=part.idx, pick=pick: pick(x[number])
 
 
-def _camera_leaves(camera: Camera, scene: Scene) -> list[tuple[str, Callable, float]]:
-    """Return each parameter's name, leaf, and the change that moves the picture by a pixel."""
-    half, fy = max(camera.W, camera.H) / 2, float(focal_px(camera)[1])
-    e, p, u = (np.asarray(x, float) for x in (camera.e, camera.p, camera.u))
-    view, phi, d = float(np.linalg.norm(p - e)), float(camera.phi), float(camera.d)
-    upright = float(np.linalg.norm(np.cross(p - e, u))) / view
-    leaves = [
-        ("e", lambda x: x[0].e, min(view, _distance(camera, scene)) / fy),
-        ("p", lambda x: x[0].p, view / fy),
-        ("u", lambda x: x[0].u, upright / half),
-        ("phi", lambda x: x[0].phi, np.sin(phi) / half),
-        ("d", lambda x: x[0].d, d / half),
-    ]
-    if camera.lens is not None:
-        aspect = float(camera.lens.aspect)
-        leaves.append(("principal_point", lambda x: x[0].lens.principal_point, 1.0))
-        leaves.append(("aspect", lambda x: x[0].lens.aspect, aspect / half))
-        powers = {} if camera.lens.distortion is None else camera.lens.distortion.powers
-        for name, power in powers.items():
-            coefficient = lambda x, name=name: getattr(x[0].lens.distortion, name)
-            leaves.append((name, coefficient, (fy / half) ** power / fy))
-    return leaves
-
-
-def _scene_leaves(scene: Scene) -> list[tuple[str, Callable]]:
-    leaves = []
-    if scene.mesh is not None and scene.mesh.vertices.shape[0]:
-        leaves.append(("vertices", lambda x: x[1].mesh.vertices))
-    if scene.spheres is not None and scene.spheres.radii.shape[0]:
-        leaves.append(("centers", lambda x: x[1].spheres.centers))
-        leaves.append(("radii", lambda x: x[1].spheres.radii))
-    return leaves
+def _motion(camera: Camera, scene: Scene) -> Camera:
+    """Return the derivative by the camera of nine points' places on the film (px): they lie at the
+    scene's distance, behind the film's corners, sides and middle."""
+    shares = np.indices((3, 3)).reshape(2, -1).T / 2
+    places = (shares * [camera.W, camera.H]).astype(camera.e.dtype)
+    rays = np.asarray(rays_through(camera, places).direction)
+    far = np.asarray(_distance(camera, scene), rays.dtype)
+    return jax.jacfwd(project)(camera, np.asarray(camera.e) + far * rays)
 
 
 def _distance(camera: Camera, scene: Scene) -> float:
     """Return the distance of the scene's middle from the eye or, from within, its radius."""
-    if not _scene_leaves(scene):
-        return float(np.linalg.norm(np.asarray(camera.p - camera.e)))
+    full = lambda part, points: None if part is None or not len(points(part)) else part
     parts = Scene(
-        scene.mesh if scene.mesh is not None and scene.mesh.vertices.shape[0] else None,
-        scene.spheres if scene.spheres is not None and scene.spheres.radii.shape[0] else None,
+        full(scene.mesh, lambda mesh: mesh.vertices),
+        full(scene.spheres, lambda spheres: spheres.radii),
     )
+    if parts.mesh is None and parts.spheres is None:
+        return float(np.linalg.norm(np.asarray(camera.p - camera.e)))
     center, radius = bounding_sphere(parts)
     return max(float(np.linalg.norm(np.asarray(center - camera.e))), float(radius))
 
 
-def _power_of_two(x: float) -> float:
-    return float(2.0 ** np.round(np.log2(x)))
+def _waves(
+    vertices: Float[np.ndarray, "V 3"], random: np.random.Generator
+) -> Float[np.ndarray, "V 3"]:
+    """Return a smooth displacement of each vertex, between -1 and 1: a random wave."""
+    middle, extent = vertices.mean(axis=0), np.ptp(vertices, axis=0).max()
+    wave = random.normal(size=(3, 3)) * np.pi / (extent or 1)
+    return np.sin((vertices - middle) @ wave + random.uniform(0, 2 * np.pi, 3))
