@@ -278,8 +278,11 @@ BENCH = """
 from pathlib import Path
 import pinhole_jax as pj
 from pinhole_jax._studio.bench import Bench
+from pinhole_jax._studio.session import new_session
 from pinhole_jax._studio.workpiece import workpiece_of
-bench = Bench(workpiece_of("part.obj", "mask.png"), Path("bench"))
+from pinhole_jax.batch.inputs import Start
+workpiece = workpiece_of("part.obj", "mask.png")
+bench = Bench(workpiece, new_session(workpiece, Start()), Path("bench"))
 bench.take_mask(pj.io.load_mask("mask.png"))
 assert bench.hello()["free"] == ["pose", "phi"]
 fit = bench.act("fit", {"free": ["pose"], "search": True}, print)["fit"]

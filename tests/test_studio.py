@@ -28,6 +28,7 @@ from pinhole_jax._studio import drawing, hand, session, strokes
 from pinhole_jax._studio.bench import Bench
 from pinhole_jax._studio.strokes import LoadedMask, Stroke
 from pinhole_jax._studio.workpiece import Workpiece, mesh_file, photo_file, workpiece_of
+from pinhole_jax.batch.inputs import Start
 
 aiohttp = pytest.importorskip("aiohttp", reason="the page's server needs aiohttp")
 
@@ -63,9 +64,18 @@ def workpiece(scene, mask, tmp_path) -> Workpiece:
     return workpiece_of(str(tmp_path / "part.obj"), str(tmp_path / "photo.png"))
 
 
+def begun(workpiece, folder, **known) -> Bench:
+    """Return a bench with a new session."""
+    return Bench(workpiece, session.new_session(workpiece, Start(**known)), folder)
+
+
 @pytest.fixture
 def bench(workpiece, tmp_path) -> Bench:
-    return Bench(workpiece, tmp_path / "out")
+    return begun(workpiece, tmp_path / "out")
+
+
+def put(bench, **changes):
+    bench.session = bench.session._replace(**changes)
 
 
 def png(array: np.ndarray) -> str:
@@ -130,27 +140,18 @@ def seen(camera: pj.Camera, points) -> np.ndarray:
     return np.asarray(pj.project(camera, jnp.asarray(points)))
 
 
-@pytest.mark.parametrize("lens", [None, BENT])
-def test_camera_turn_looks_like_an_object_turn(lens):
-    before = camera(lens)
+def test_camera_moves_look_like_moves_of_the_object():
+    before, extent = camera(pj.Lens([32.0, 32.0], 1.3)), hand.Extent(CENTRE, 0.5)
     b1, b2, v = axes_of(before)
     turn = Rotation.from_rotvec(0.3 * b2 + 0.2 * b1 + 0.5 * v)
-    after = hand.turn_object(before, CENTRE, 0.3, -0.2, 0.5)
+    after = hand.moved(before, extent, (0.3, -0.2, 0.5))
     turned = CENTRE + turn.apply(POINTS - CENTRE)
     assert_allclose(seen(after, POINTS), seen(before, turned), atol=1e-9)
-
-
-@pytest.mark.parametrize("lens", [None, pj.Lens([32.0, 32.0], 1.3)])
-def test_shift_is_in_pixels(lens):
-    after = hand.shift_object(camera(lens), CENTRE, 5.0, 3.0)
-    assert_allclose(seen(after, CENTRE) - seen(camera(lens), CENTRE), [5, -3], atol=1e-9)
-
-
-def test_nearer_is_nearer_and_no_nearer_than_there_is_room():
-    extent, away = hand.Extent(CENTRE, 0.5), lambda c: np.asarray(c.e) - CENTRE
-    assert_allclose(away(hand.scale_distance(camera(), extent, 0.5)), 0.5 * away(camera()))
-    nearest = away(hand.scale_distance(camera(), extent, 0.0))
-    assert np.linalg.norm(nearest) == pytest.approx(hand.NEAREST * 0.5)
+    after = hand.moved(before, extent, shift=(5.0, 3.0))
+    assert_allclose(seen(after, CENTRE) - seen(before, CENTRE), [5, -3], atol=1e-9)
+    away = lambda nearer: np.asarray(hand.moved(before, extent, nearer=nearer).e) - CENTRE
+    assert_allclose(away(0.5), 0.5 * away(1.0))
+    assert np.linalg.norm(away(0.0)) == pytest.approx(hand.NEAREST * 0.5)  # no nearer than this
 
 
 def test_field_of_view_changes_keep_the_size():
@@ -363,12 +364,12 @@ def test_strokes_are_undone_and_redone(bench):
 
 
 def test_view_guides_the_guess(bench, mask):
-    bench.camera = camera(e=(1.1, 1.5, 5.0))
+    put(bench, camera=camera(e=(1.1, 1.5, 5.0)))
     told = do(bench, "view_guides")
     assert {guide["kind"] for guide in told["guides"]} == {"object", "background"}
     assert overlap(bench.mask, mask > 0.5) > 0.97
     assert not do(bench, "undo")["png"]
-    bench.camera = pj.Camera([0, 0, 50], [0, 0, 99], [0, 1, 0], 0.6, 1.0, W, H)
+    put(bench, camera=pj.Camera([0, 0, 50], [0, 0, 99], [0, 1, 0], 0.6, 1.0, W, H))
     with refusal("the object is not in the picture"):
         do(bench, "view_guides")
 
@@ -376,7 +377,7 @@ def test_view_guides_the_guess(bench, mask):
 @pytest.fixture
 def fitted(bench, mask) -> Bench:
     do(bench, "load_mask", data=png(eight_bits(mask)))
-    bench.camera = camera(e=(0.6, 1.8, 5.2))
+    put(bench, camera=camera(e=(0.6, 1.8, 5.2)))
     return bench
 
 
@@ -384,7 +385,7 @@ def fitted(bench, mask) -> Bench:
 def test_fit_finds_the_camera_and_reports_its_path(fitted):
     pushed = []
     told = fitted.act("fit", {"free": ["position", "orientation"]}, pushed.append)
-    angle, shift = pj.pose_error(fitted.camera, camera())
+    angle, shift = pj.pose_error(fitted.session.camera, camera())
     assert np.rad2deg(angle) < 0.1
     assert shift < 0.02
     assert told["fit"]["status"] == fitted.result.status
@@ -406,7 +407,7 @@ def test_fit_finds_the_camera_and_reports_its_path(fitted):
 
 
 def test_fit_blocks_other_actions_and_can_be_stopped(fitted):
-    start, met = fitted.camera, []
+    start, met = fitted.session.camera, []
 
     def push(what):
         with refusal("a fit is running: wait for it, or stop it"):
@@ -417,7 +418,7 @@ def test_fit_blocks_other_actions_and_can_be_stopped(fitted):
     with refusal("stopped: the camera has not changed"):
         fitted.act("fit", {"free": ["pose"]}, push)
     assert len(met) == 1
-    assert fitted.camera is start
+    assert fitted.session.camera is start
     assert fitted.result is None
     do(fitted, "look")  # it goes on
 
@@ -425,24 +426,22 @@ def test_fit_blocks_other_actions_and_can_be_stopped(fitted):
 @pytest.fixture
 def unsaid(fitted) -> Bench:
     """A bench whose photo has no EXIF data, off by 20 % in its field of view: 0.7 for 0.6."""
-    fitted.camera = hand.with_phi(camera(e=(0.6, 1.8, 5.2)), np.zeros(3), 0.7)
+    put(fitted, camera=hand.with_phi(camera(e=(0.6, 1.8, 5.2)), np.zeros(3), 0.7))
     return fitted
 
 
-def test_field_of_view_that_nobody_gives_is_free_and_named(workpiece, tmp_path, mask):
-    assert workpiece.phi is None
-    bench = Bench(workpiece, tmp_path)
+def test_field_of_view_that_nobody_gives_is_free_and_named(workpiece, bench, tmp_path):
     told = do(bench, "hello")
     assert told["free"] == ["pose", "phi"]
     assert told["view"]["phi_is_assumed"]
     assert told["view"]["upright"] == "y"
     assert do(bench, "stand", up="z")["upright"] == "z"
-    given = workpiece_of(workpiece.mesh, workpiece.photo, phi=0.6)
-    assert given.phi == pytest.approx(0.6)
-    told = do(Bench(given, tmp_path), "hello")
-    assert told["free"] == ["pose"]
-    assert not told["view"]["phi_is_assumed"]
-    assert workpiece_of(workpiece.mesh, workpiece.photo, camera()).phi == pytest.approx(0.6)
+    for known in ({"phi": 0.6}, {"camera": camera()}):
+        given = begun(workpiece, tmp_path, **known)
+        assert given.session.known_phi == pytest.approx(0.6)
+        told = do(given, "hello")
+        assert told["free"] == ["pose"]
+        assert not told["view"]["phi_is_assumed"]
 
 
 @pytest.mark.long
@@ -456,10 +455,10 @@ def test_fit_that_holds_an_assumed_field_of_view_is_not_converged(unsaid, tmp_pa
         (path,) = do(unsaid, "save", name="work", free=["pose"])["written"]
         do(unsaid, "open", text=Path(path).read_text())
     if way == "earlier fit":
-        told = do(unsaid, "fit", free=unsaid.free)
+        told = do(unsaid, "fit", free=unsaid.session.free)
         assert told["fit"]["status"] == "converged"
         assert not told["view"]["phi_is_assumed"]
-        angle, shift = pj.pose_error(unsaid.camera, camera())
+        angle, shift = pj.pose_error(unsaid.session.camera, camera())
         assert np.rad2deg(angle) < 0.3
         assert shift < 0.1
         words = r"field of view from an earlier fit: 34.\d degrees"
@@ -473,7 +472,7 @@ def test_fit_that_holds_an_assumed_field_of_view_is_not_converged(unsaid, tmp_pa
 
 @pytest.mark.long
 def test_fit_with_a_given_field_of_view_is_converged(fitted):
-    fitted.known_phi = 0.6
+    put(fitted, known_phi=0.6)
     told = do(fitted, "fit", free=["pose"])["fit"]
     assert told["status"] == "converged"
     assert not any("field of view" in note for note in told["notes"])
@@ -487,7 +486,7 @@ def test_modes_are_chosen_by_number(fitted):
     told = do(fitted, "mode", number=1)["fit"]
     assert told["modes"] == [best.iou, 0.9]
     assert (told["chosen"], told["status"]) == (1, "ambiguous")
-    assert fitted.camera is fitted.fits[1].camera
+    assert fitted.session.camera is fitted.fits[1].camera
     with refusal("`number`: expected one of 2 cameras, got 2"):
         do(fitted, "mode", number=2)
 
@@ -497,7 +496,7 @@ def test_camera_is_written_in_all_formats(bench):
     assert len(written) == len(pj.formats.FORMATS)
     assert all(Path(path).exists() for path in written)
     again = pj.formats.read_one(written[0])
-    assert max(map(float, pj.pose_error(again, bench.camera))) < 1e-12
+    assert max(map(float, pj.pose_error(again, bench.session.camera))) < 1e-12
     again = do(bench, "export", format="json", name="view")["written"]
     assert again == [f"{written[0]} (replaced)"]
 
@@ -506,12 +505,12 @@ def test_session_goes_on_in_another_tab(fitted, tmp_path):
     do(fitted, "stroke", kind="erase", radius_px=2, points=[[30, 30]])
     do(fitted, "straight", grid=True, line=[[1, 2], [3, 40]])
     (path,) = do(fitted, "save", name="work", free=["pose", "phi"])["written"]
-    other = Bench(fitted.workpiece, tmp_path)
+    other = begun(fitted.workpiece, tmp_path)
     do(other, "stroke", kind="add", radius_px=2, points=[[1, 1]])
     told = do(other, "open", text=Path(path).read_text(), name="work.json")
     assert_array_equal(other.mask, fitted.mask)
     assert (told["free"], len(told["view"]["lines"])) == (["pose", "phi"], 1)
-    assert max(map(float, pj.pose_error(other.camera, fitted.camera))) < 1e-12
+    assert max(map(float, pj.pose_error(other.session.camera, fitted.session.camera))) < 1e-12
     assert do(other, "undo")["png"] == do(fitted, "undo")["png"]
     do(other, "undo")
     with refusal("nothing to undo"):  # the session before is gone
@@ -622,7 +621,7 @@ def test_tabs_do_not_mix_and_come_back_to_what_they_had(workpiece, tmp_path):
                 await again.socket.send_str(nothing)
                 assert "error" in await again.socket.receive_json()
 
-    served(lambda: Bench(workpiece, tmp_path), ask)
+    served(lambda: begun(workpiece, tmp_path), ask)
 
 
 # The command.
@@ -687,5 +686,5 @@ def test_command_passes_its_options_to_the_bench(monkeypatch, workpiece, tmp_pat
     assert main(f"{files} --up z {fov} --port 1234") == 0
     (bench,) = benches
     assert np.sum(bench.mask == 255) == 400
-    assert float(bench.camera.phi) == pytest.approx(phi)
-    assert axes_of(bench.camera)[1][2] > 0.8
+    assert float(bench.session.camera.phi) == pytest.approx(phi)
+    assert axes_of(bench.session.camera)[1][2] > 0.8

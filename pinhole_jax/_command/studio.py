@@ -12,7 +12,7 @@ from .. import io
 from .._files.naming import named
 from .._files.progress import Ticker
 from .._studio.bench import Bench
-from .._studio.session import MOST_BYTES, Session, session_from_text
+from .._studio.session import MOST_BYTES, Session, new_session, session_from_text
 from .._studio.workpiece import Workpiece, workpiece_of
 from ..batch.inputs import Start, read_mask, read_start
 from .options import record_of
@@ -28,20 +28,14 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
         raise ValueError(f"`port`: expected a port, 0 to 65535, got {options.port}")
     tell = progress.tell
     progress.say("reading mesh and photo")
-    session = None
-    if options.session is not None:
-        with named(path="session"):
-            text = io.load_text(options.session, most_bytes=MOST_BYTES)
-            session = session_from_text(text, options.session)
-    workpiece = _workpiece(options, session, tell)
+    workpiece, session = (_begun if options.session is None else _saved)(options, tell)
     mask = None
     if options.mask is not None:
         mask = read_mask(record_of(options, tidy=False), tell)
 
     def new_bench() -> Bench:
-        bench = Bench(workpiece, Path(options.output))
-        if session is not None:
-            bench.resume(session)
+        with named(camera="session"):
+            bench = Bench(workpiece, session, Path(options.output))
         if mask is not None:
             bench.take_mask(mask)
         return bench
@@ -76,29 +70,28 @@ def _server() -> Any:
     return server
 
 
-def _workpiece(
-    options: argparse.Namespace, session: Session | None, tell: Callable[[str], Any]
-) -> Workpiece:
-    """Return the mesh and the photo of the command line or of the session."""
-    if session is not None:
-        known = (options.mesh, options.photo, options.camera, options.fov, options.K, options.mask)
-        if any(x is not None for x in known):
-            words = "expected no MESH, PHOTO, camera or mask with it: a session has its own"
-            raise ValueError(f"`session`: {words}")
-        with named(mesh="session", photo="session", camera="session"):
-            return workpiece_of(session.mesh, session.photo, session.camera, tell)
+def _saved(options: argparse.Namespace, tell: Callable[[str], Any]) -> tuple[Workpiece, Session]:
+    """Return a file's session, and its mesh and photo."""
+    known = (options.mesh, options.photo, options.camera, options.fov, options.K, options.mask)
+    if any(x is not None for x in known):
+        words = "expected no MESH, PHOTO, camera or mask with it: a session has its own"
+        raise ValueError(f"`session`: {words}")
+    with named(path="session", mesh="session", photo="session"):
+        text = io.load_text(options.session, most_bytes=MOST_BYTES)
+        session = session_from_text(text, options.session)
+        return workpiece_of(session.mesh, session.photo, tell), session
+
+
+def _begun(options: argparse.Namespace, tell: Callable[[str], Any]) -> tuple[Workpiece, Session]:
+    """Return the mesh and the photo of the command line, and the session that begins with them."""
     if None in (options.mesh, options.photo):
         raise ValueError("expected MESH and PHOTO, or --session FILE")
-    start, record = Start(), record_of(options)
+    workpiece = workpiece_of(options.mesh, options.photo, tell)
+    known, record = Start(), record_of(options)
     if not record.keys().isdisjoint({"camera", "K", "fov", "dist"}):
-        with named(path="photo"):
-            H, W = io.load_image(options.photo).shape[:2]
-        start = read_start(record, (W, H), tell)
-    phi = None if start.phi is None else float(start.phi)
-    workpiece = workpiece_of(
-        options.mesh, options.photo, start.camera, tell, phi=phi, lens=start.lens, up=options.up
-    )
-    if workpiece.phi is None:
-        degrees = math.degrees(float(workpiece.start.phi))
+        known = read_start(record, workpiece.size, tell)
+    session = new_session(workpiece, known, options.up)
+    if session.known_phi is None:
+        degrees = math.degrees(float(session.camera.phi))
         tell(f"phi: assumed {degrees:.0f} degrees, and left free; give --fov if you know it")
-    return workpiece
+    return workpiece, session

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from .. import Camera, Fit, Progress, fit_camera, io, silhouette
-from ..batch.inputs import numbers_of
+from .. import Fit, Progress, fit_camera, io, silhouette
+from ..batch.inputs import Start, numbers_of
 from ..formats import FORMATS
 from . import hand
 from .descriptions import fit_description, mask_description, with_assumed_phi
@@ -27,7 +27,6 @@ from .session import Session, free_of, line_of, session_from_text, session_to_te
 from .strokes import (
     GUIDES,
     LoadedMask,
-    Stroke,
     Work,
     guess_mask,
     guides_around,
@@ -71,37 +70,47 @@ class StopRequest(Exception):
 
 
 class Bench:
-    """A tab's camera, mask and fit; `folder` is where files are written."""
+    """A tab's session, mask and fit; `folder` is where files are written."""
 
-    def __init__(self, workpiece: Workpiece, folder: Path) -> None:
+    def __init__(self, workpiece: Workpiece, session: Session, folder: Path) -> None:
         self.workpiece, self.folder = workpiece, folder
-        self.camera: Camera = workpiece.start
-        self.known_phi = workpiece.phi
-        self.free: tuple[str, ...] = ("pose",) if self.known_phi is not None else ("pose", "phi")
-        self.lines: tuple[Any, ...] = ()
-        self.mask: np.ndarray | None = None
-        #: The last fit with all its cameras, and the number of the one that was chosen.
-        self.fits: tuple[Fit, ...] = ()
-        self.chosen = 0
-        self._phi_was_free, self._assumption = False, ""
-        self._guess = _guesses_of(workpiece)
-        #: All states of the work that can be gone back to, and the place of the current one.
-        self._works: list[Work] = [()]
-        self._at = 0
         self._straight = False
         self._push: Callable[[Any], None] = lambda news: None
         self._stopping = threading.Event()
         self._lock, self._is_fitting = threading.Lock(), False
+        self.resume(session)
 
-    @property
-    def work(self) -> Work:
-        """Return the strokes and masks, in order."""
-        return self._works[self._at]
+    def resume(self, session: Session) -> None:
+        """Continue a session."""
+        files = tuple(str(Path(path).resolve()) for path in (session.mesh, session.photo))
+        workpiece = self.workpiece
+        if files != (workpiece.mesh, workpiece.photo):
+            workpiece = workpiece_of(*files)
+        (W, H), (w, h) = workpiece.size, (session.camera.W, session.camera.H)
+        if (w, h) != (W, H):
+            words = f"expected one of the photo's size {W} x {H}, got {w} x {h}"
+            raise ValueError(f"`camera`: {words}")
+        self.workpiece, self.session = workpiece, session._replace(mesh=files[0], photo=files[1])
+        # (It keeps some guesses, so that undo needs no new one.)
+        self._guess = lru_cache(MOST_GUESSES)(lambda guides: guess_mask(workpiece.picture, guides))
+        #: The last fit with all its cameras, and the number of the one that was chosen.
+        self.fits: tuple[Fit, ...] = ()
+        self.chosen = 0
+        self._phi_was_free, self._assumption = False, ""
+        #: All states of the work that can be gone back to, and the place of the current one.
+        self._works = [session.work[:k] for k in range(len(session.work) + 1)][-MOST_UNDONE:]
+        self._at = len(self._works) - 1
+        self._update_mask()
 
     @property
     def result(self) -> Fit | None:
         """Return the last fit, at the camera that was chosen."""
         return self.fits[self.chosen] if self.fits else None
+
+    def _show(self, **changes: Any) -> Answer:
+        """Change the session; return the view."""
+        self.session = self.session._replace(**changes)
+        return self.look()
 
     def act(self, name: str, numbers: dict[str, Any], push: Callable[[Any], None]) -> Any:
         """Do an action and return its answer; `push` sends news to the page meanwhile.
@@ -135,7 +144,7 @@ class Bench:
             "photo": Path(self.workpiece.photo).name,
             "W": W,
             "H": H,
-            "free": list(self.free),
+            "free": list(self.session.free),
             "formats": list(FORMATS),
             "folder": str(self.folder),
             "view": self.look(),
@@ -145,12 +154,12 @@ class Bench:
 
     def look(self) -> Answer:
         """Return the view of the current camera."""
-        camera = self.camera
+        camera = self.session.camera
         return {
             "camera": camera_numbers(camera),
             "outline": outline_lines(camera, self.workpiece.scene),
             "grid": grid_lines(camera) if self._straight else [],
-            "lines": straight_lines(camera, self.lines),
+            "lines": straight_lines(camera, self.session.lines),
             "is_fit": self.result is not None and camera is self.result.camera,
             "upright": hand.upright(camera),
             "phi_is_assumed": self._phi_from() == "assumed",
@@ -158,8 +167,9 @@ class Bench:
 
     def _phi_from(self) -> str:
         """Return the origin of the field of view, "" if a person, a file or the photo gave it."""
-        is_ = lambda phi: math.isclose(float(self.camera.phi), float(phi), rel_tol=1e-6)
-        if self.known_phi is not None and is_(self.known_phi):
+        camera, known = self.session.camera, self.session.known_phi
+        is_ = lambda phi: math.isclose(float(camera.phi), float(phi), rel_tol=1e-6)
+        if known is not None and is_(known):
             return ""
         fitted = self._phi_was_free and any(is_(fit.camera.phi) for fit in self.fits)
         return "from an earlier fit" if fitted else "assumed"
@@ -167,53 +177,44 @@ class Bench:
     def move(self, turn: Any = (0, 0, 0), shift: Any = (0, 0), nearer: Any = 1) -> Answer:
         """Turn the object (rad: right, up, clockwise), shift it (px: right, down), scale its
         distance."""
-        moves = [*numbers_of("turn", turn, 3), *numbers_of("shift", shift, 2)]
+        moves = numbers_of("turn", turn, 3), numbers_of("shift", shift, 2)
         (factor,) = numbers_of("nearer", nearer, 1)
         if not factor > 0:
             raise ValueError(f"`nearer`: expected a positive factor, got {factor}")
-        extent, camera = self.workpiece.extent, self.camera
-        if any(moves[:3]):
-            camera = hand.turn_object(camera, extent.centre, *moves[:3])
-        if any(moves[3:]):
-            camera = hand.shift_object(camera, extent.centre, *moves[3:])
-        self.camera = camera if factor == 1 else hand.scale_distance(camera, extent, factor)
-        return self.look()
+        extent = self.workpiece.extent
+        return self._show(camera=hand.moved(self.session.camera, extent, *moves, factor))
 
     def stand(self, up: str) -> Answer:
         """Look at the whole object, standing with its axis x, y or z upwards."""
-        self.camera = hand.frame_object(self.camera, self.workpiece.extent, up)
-        return self.look()
+        return self._show(camera=hand.frame_object(self.session.camera, self.workpiece.extent, up))
 
     def lens(self, phi_degrees: Any = None, **changes: Any) -> Answer:
         """Change the field of view, or numbers of the lens as `hand.with_lens` names them."""
+        camera = self.session.camera
         if phi_degrees is not None:
             (degrees,) = numbers_of("phi_degrees", phi_degrees, 1)
-            phi = np.deg2rad(degrees)
-            self.camera = hand.with_phi(self.camera, self.workpiece.extent.centre, float(phi))
+            camera = hand.with_phi(camera, self.workpiece.extent.centre, math.radians(degrees))
         if changes:
             values = numbers_of("lens", list(changes.values()), len(changes))
-            self.camera = hand.with_lens(self.camera, dict(zip(changes, values, strict=True)))
-        return self.look()
+            camera = hand.with_lens(camera, dict(zip(changes, values, strict=True)))
+        return self._show(camera=camera)
 
     def straight(self, grid: Any, line: Any = None, clear: Any = False) -> Answer:
         """Show a grid of straight lines or not; add a line through two places, or drop them all."""
         self._straight = bool(grid)
-        if clear:
-            self.lines = ()
-        if line is not None:
-            self.lines = (*self.lines, line_of(line))
-        return self.look()
+        lines = () if clear else self.session.lines
+        return self._show(lines=lines if line is None else (*lines, line_of(line)))
 
     def stroke(self, **data: Any) -> Answer:
         """Draw: see `strokes.stroke_of`."""
-        return self._push_work((*self.work, stroke_of(data)))
+        return self._push_work((*self.session.work, stroke_of(data)))
 
     def view_guides(self) -> Answer:
         """Guide the guess by the view: object well within the outline, background well outside."""
-        inside = np.asarray(silhouette(self.camera, self.workpiece.scene)) > 0.5
+        inside = np.asarray(silhouette(self.session.camera, self.workpiece.scene)) > 0.5
         if not np.any(inside):
             raise ValueError("the object is not in the picture: turn or shift it there first")
-        return self._push_work((*self.work, *guides_around(inside)))
+        return self._push_work((*self.session.work, *guides_around(inside)))
 
     def undo(self) -> Answer:
         """Take back the last stroke or mask."""
@@ -231,7 +232,7 @@ class Bench:
 
     def clear(self) -> Answer:
         """Drop all strokes and masks."""
-        return self._push_work(()) if self.work else self._mask_description()
+        return self._push_work(()) if self.session.work else self._mask_description()
 
     def load_mask(self, data: str, name: str = "mask") -> Answer:
         """Take a mask from a picture's file (in base64)."""
@@ -250,7 +251,7 @@ class Bench:
         if mask.shape != (H, W):
             size = f"{mask.shape[1]} x {mask.shape[0]}"
             raise ValueError(f"`mask`: expected the photo's size {W} x {H}, got {size}")
-        return self._push_work((*self.work, LoadedMask(mask)))
+        return self._push_work((*self.session.work, LoadedMask(mask)))
 
     def fit(self, free: Sequence[str], search: bool = False, refine: bool = False) -> Answer:
         """Fit the camera to the mask, from the current view or (`search`) from all views; then,
@@ -258,8 +259,9 @@ class Bench:
         if self.mask is None or not np.any(self.mask):
             raise ValueError("there is no mask yet: draw on the object, or load one")
         self._stopping.clear()
-        self.free = free_of(free)
-        focal_is_free = not {"phi", "d"}.isdisjoint(self.free)
+        camera, free = self.session.camera, free_of(free)
+        self.session = self.session._replace(free=free)
+        focal_is_free = not {"phi", "d"}.isdisjoint(free)
         assumption = "" if focal_is_free else self._phi_from()
 
         def on_step(progress: Progress) -> None:
@@ -267,18 +269,16 @@ class Bench:
                 raise StopRequest
             self._push(self._stop_description(progress))
 
-        start: Any = {"camera": self.camera}
-        if search:
-            start = {"camera": None, "phi": self.camera.phi, "lens": self.camera.lens}
+        start = Start(None, camera.phi, camera.lens) if search else Start(camera)
         try:
             fit = fit_camera(
                 self.workpiece.scene,
                 self.mask,
-                free=self.free,
+                free=free,
                 photo=self.workpiece.picture if refine else None,
                 progress=on_step,
                 record=True,
-                **start,
+                **start._asdict(),
             )
         except StopRequest:
             raise ValueError("stopped: the camera has not changed") from None
@@ -303,13 +303,13 @@ class Bench:
         if not (isinstance(number, int) and 0 <= number < len(self.fits)):
             count = len(self.fits)
             raise ValueError(f"`number`: expected one of {count} cameras, got {number!r}")
-        self.chosen, self.camera = number, self.fits[number].camera
-        return {"fit": self._fit_description(), "view": self.look()}
+        self.chosen = number
+        view = self._show(camera=self.fits[number].camera)
+        return {"fit": self._fit_description(), "view": view}
 
     def restore(self) -> Answer:
         """Go back to the camera of the last fit."""
-        self.camera = self._fitted().camera
-        return self.look()
+        return self._show(camera=self._fitted().camera)
 
     def _fitted(self) -> Fit:
         if self.result is None:
@@ -318,40 +318,20 @@ class Bench:
 
     def export(self, format: str, name: str) -> Answer:
         """Write the current camera in a format, or in all of them ("all"), and the mask, if any."""
-        return {"written": export(self.folder, name, self.camera, format, self.mask)}
+        return {"written": export(self.folder, name, self.session.camera, format, self.mask)}
 
     def save(self, name: str, free: Sequence[str]) -> Answer:
         """Write the session as one file."""
-        self.free = free_of(free)
+        self.session = self.session._replace(free=free_of(free))
         path = self.folder / f"{plain(name)}.studio.json"
         written = path_words(path)
-        io.save_text(path, session_to_text(self.session()))
+        io.save_text(path, session_to_text(self.session))
         return {"written": [written]}
-
-    def session(self) -> Session:
-        """Return the session as it is."""
-        mesh, photo = (str(Path(p).resolve()) for p in (self.workpiece.mesh, self.workpiece.photo))
-        return Session(mesh, photo, self.camera, self.free, self.work, self.lines, self.known_phi)
 
     def open(self, text: str, name: str = "session") -> Answer:
         """Continue a session from its file's text."""
         self.resume(session_from_text(text, name))
         return self.hello()
-
-    def resume(self, session: Session) -> None:
-        """Continue a session."""
-        files = session.mesh, session.photo
-        own = str(Path(self.workpiece.mesh).resolve()), str(Path(self.workpiece.photo).resolve())
-        if files != own:
-            self.workpiece = workpiece_of(*files, session.camera)
-            self._guess = _guesses_of(self.workpiece)
-        elif self.workpiece.size != (session.camera.W, session.camera.H):
-            raise ValueError("`camera`: expected one of the photo's size")
-        self.camera, self.free, self.lines = session.camera, session.free, session.lines
-        self.known_phi, self.fits, work = session.known_phi, (), session.work
-        self._works = [work[:k] for k in range(len(work) + 1)][-MOST_UNDONE:]
-        self._at = len(self._works) - 1
-        self._update_mask()
 
     def _push_work(self, work: Work) -> Answer:
         self._works = [*self._works[: self._at + 1], work][-MOST_UNDONE:]
@@ -359,13 +339,14 @@ class Bench:
         return self._update_mask()
 
     def _update_mask(self) -> Answer:
-        W, H = self.workpiece.size
-        self.mask = mask_of(self.work, self._guess(strokes_of(self.work, GUIDES)), W, H)
+        work = self._works[self._at]
+        self.session = self.session._replace(work=work)
+        self.mask = mask_of(work, self._guess(strokes_of(work, GUIDES)), *self.workpiece.size)
         return self._mask_description()
 
     def _mask_description(self) -> Answer:
         last = len(self._works) - 1
-        described = mask_description(self.mask, self.work)
+        described = mask_description(self.mask, self.session.work)
         return {**described, "can_undo": self._at > 0, "can_redo": self._at < last}
 
     def _fit_description(self) -> Answer | None:
@@ -375,8 +356,3 @@ class Bench:
         described = fit_description(fit, self.workpiece.scene, self.mask, self._assumption)
         modes = [mode.iou for mode in self.fits] if fit.status != "non_finite" else []
         return {**described, "modes": modes, "chosen": self.chosen}
-
-
-def _guesses_of(workpiece: Workpiece) -> Callable[[tuple[Stroke, ...]], np.ndarray | None]:
-    """Return a function from strokes to a guess; it keeps some, so that undo needs no new one."""
-    return lru_cache(MOST_GUESSES)(lambda guides: guess_mask(workpiece.picture, guides))

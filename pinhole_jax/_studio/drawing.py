@@ -2,13 +2,12 @@
 lines as the lens bends them. Places are in px from the upper left corner, x right, y down.
 """
 
-import itertools
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from .. import Camera, Fit, Lens, Scene, outline, project, rays_through
+from .. import Camera, Fit, Scene, outline, project, rays_through
 from ..plot import outline_sigma
 from ..show.space import axes_of
 from .hand import focal_px, principal_point
@@ -64,7 +63,7 @@ def band_of(fit: Fit, scene: Scene) -> dict[str, Any]:
 
 
 def grid_lines(camera: Camera) -> list[list[list[float]]]:
-    """Return a grid of lines straight in space, as the lens shows them: rows of points."""
+    """Return a grid of lines straight in space, as the lens shows them: pieces [place, place]."""
     size = np.array([camera.W, camera.H])
     spacing, reach = min(size) / GRID, REACH * size
     lines = []
@@ -74,17 +73,10 @@ def grid_lines(camera: Camera) -> list[list[list[float]]]:
         along = np.linspace(-1, 1, POINTS) * reach[1 - axis]
         pair = np.broadcast_arrays(steps, along)
         lines.append(np.stack(pair[:: 1 - 2 * axis], axis=-1))
-    points = principal_point(camera) + np.concatenate(lines)
-    bent = _reprojected(*_ideal_and_own(camera), points)
+    bent = _shown(camera, np.concatenate(lines) / focal_px(camera))
     near = np.all(np.abs(bent - size / 2) < 0.6 * size, axis=-1)
-    shown = _flip(bent, camera).round(2).tolist()
-    return [part for pair in zip(near.tolist(), shown, strict=True) for part in _near_parts(*pair)]
-
-
-def _near_parts(near: list[bool], points: list[list[float]]) -> list[list[list[float]]]:
-    """Return the parts of a line that are near the film."""
-    runs = itertools.groupby(zip(near, points, strict=True), key=lambda pair: pair[0])
-    return [[point for _, point in run] for is_near, run in runs if is_near]
+    pieces = np.stack([bent[:, :-1], bent[:, 1:]], axis=2)
+    return pieces[near[:, :-1] & near[:, 1:]].round(2).tolist()
 
 
 def straight_lines(camera: Camera, lines: Sequence[Line]) -> list[list[list[float]]]:
@@ -92,26 +84,18 @@ def straight_lines(camera: Camera, lines: Sequence[Line]) -> list[list[list[floa
     shows them."""
     if not lines:
         return []
-    ideal, own = _ideal_and_own(camera)
-    ends = _reprojected(own, ideal, _flip(np.array(lines, float), camera))
+    ends = _flip(np.array(lines, float), camera).astype(camera.e.dtype)
+    rays = np.asarray(rays_through(camera, ends).direction, float) @ axes_of(camera).T
+    begin, end = np.moveaxis(rays[..., :2] / rays[..., 2:], 1, 0)[:, :, None]
     share = np.linspace(0, 1, POINTS)[:, None]
-    rows = ends[:, None, 0] * (1 - share) + ends[:, None, 1] * share
-    return _flip(_reprojected(ideal, own, rows), camera).round(2).tolist()
+    return _shown(camera, begin * (1 - share) + end * share).round(2).tolist()
 
 
-def _ideal_and_own(camera: Camera) -> tuple[Camera, Camera]:
-    """Return the camera at the origin: without its distortion, and with it."""
-    here = camera.with_pose([0, 0, 0], axes_of(camera))
-    if camera.distortion is None:
-        return here, here
-    assert camera.lens is not None
-    return here.replace(lens=Lens(camera.lens.principal_point, camera.lens.aspect)), here
-
-
-def _reprojected(before: Camera, after: Camera, points: np.ndarray) -> np.ndarray:
-    """Return film points of a camera as another camera of the same pose shows them."""
-    rays = rays_through(before, points.astype(before.e.dtype))
-    return np.asarray(project(after, rays.direction), float)
+def _shown(camera: Camera, slopes: np.ndarray) -> np.ndarray:
+    """Return the places of directions: `slopes` (..., 2) to the right and up, for one ahead."""
+    axes = axes_of(camera)
+    points = np.asarray(camera.e, float) + slopes @ axes[:2] + axes[2]
+    return _flip(np.asarray(project(camera, points.astype(camera.e.dtype)), float), camera)
 
 
 def _flip(points: np.ndarray, camera: Camera) -> np.ndarray:

@@ -3,6 +3,7 @@
 Plain NumPy: each move takes a millisecond.
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -76,33 +77,25 @@ def _distance(camera: Camera, extent: Extent) -> float:
     return float(extent.radius / np.sin(half))
 
 
-def turn_object(
-    camera: Camera, centre: Vector, right: float, up: float, clockwise: float
+def moved(
+    camera: Camera,
+    extent: Extent,
+    turn: Sequence[float] = (0.0, 0.0, 0.0),
+    shift: Sequence[float] = (0.0, 0.0),
+    nearer: float = 1.0,
 ) -> Camera:
-    """Return the camera that sees the object turned about its centre by these angles (rad): its
-    front to the right, upwards, and clockwise in the picture."""
-    b1, b2, v = axes_of(camera)
-    turn = Rotation.from_rotvec(b1 * -up + b2 * right + v * clockwise)
-    rotation = turn.inv().as_matrix()  # the camera turns the other way
-    eye = centre + rotation @ (np.asarray(camera.e, float) - centre)
-    return camera.with_pose(eye, axes_of(camera) @ rotation.T)
-
-
-def shift_object(camera: Camera, centre: Vector, right: float, down: float) -> Camera:
-    """Return the camera that sees the object's centre shifted in the picture (px)."""
-    axes, eye = axes_of(camera), np.asarray(camera.e, float)
-    fx, fy = focal_px(camera)
-    depth = abs(float(axes[2] @ (centre - eye)))
-    return camera.with_pose(eye + depth * (down / fy * axes[1] - right / fx * axes[0]), axes)
-
-
-def scale_distance(camera: Camera, extent: Extent, factor: float) -> Camera:
-    """Return the camera with its distance from the object's centre scaled by a factor."""
-    away = np.asarray(camera.e, float) - extent.centre
+    """Return the camera that sees the object turned about its centre (rad: its front to the right,
+    upwards, clockwise in the picture), shifted (px: right, down), at a scaled distance."""
+    axes, away = axes_of(camera), np.asarray(camera.e, float) - extent.centre
+    right, up, clockwise = turn
+    rotation = Rotation.from_rotvec([-up, right, clockwise] @ axes).inv()  # the other way
+    axes, away = rotation.apply(axes), rotation.apply(away)
+    across = np.array([-1, 1]) * shift / focal_px(camera)
+    away = away + abs(axes[2] @ away) * across @ axes[:2]
     far = float(np.linalg.norm(away))
     least, most = NEAREST * extent.radius, FARTHEST * extent.radius
-    away = away * np.clip(far * factor, least, most) / max(far, 1e-300)
-    return camera.with_pose(extent.centre + away, axes_of(camera))
+    away = away * np.clip(far * nearer, least, most) / max(far, 1e-300)
+    return camera.with_pose(extent.centre + away, axes)
 
 
 def with_phi(camera: Camera, centre: Vector, phi: float) -> Camera:

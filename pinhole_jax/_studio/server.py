@@ -15,14 +15,19 @@ from typing import Any
 from aiohttp import WSMsgType, web
 
 from .bench import Bench
-from .workpiece import Workpiece, mesh_file, photo_file
+from .workpiece import mesh_file, photo_file
 
 HOST = "127.0.0.1"
 #: The most bytes of a message: a mask's or a session's file, in base64.
 MOST_BYTES = 1 << 28
 #: This many tabs are remembered.
 MOST_TABS = 32
-FILES = ("/scene.js", "/studio.js", "/studio.css")
+PARTS = ("/scene.js", "/studio.js", "/studio.css")
+#: The files of a tab's workpiece: what makes them, and their kind.
+FILES = {
+    "/photo": (photo_file, "image/jpeg"),
+    "/mesh": (mesh_file, "application/octet-stream"),
+}
 PAGE = Path(__file__).parent / "page"
 HEADERS = {
     "Cache-Control": "no-store",
@@ -48,10 +53,10 @@ class Studio:
         """Return the server's routes, each behind the token."""
         app = web.Application(middlewares=[self._guard], client_max_size=MOST_BYTES)
         app.router.add_get("/", self._index)
+        for path in PARTS:
+            app.router.add_get(path, _part)
         for path in FILES:
-            app.router.add_get(path, _file)
-        app.router.add_get("/photo", self._answer_with(photo_file, "image/jpeg"))
-        app.router.add_get("/mesh", self._answer_with(mesh_file, "application/octet-stream"))
+            app.router.add_get(path, self._file)
         app.router.add_get("/bench", self._talk)
         return app
 
@@ -73,18 +78,14 @@ class Studio:
         text = (PAGE / "index.html").read_text(encoding="utf-8")
         return web.Response(text=text.replace("{TOKEN}", self.token), content_type="text/html")
 
-    def _answer_with(self, make: Callable[[Workpiece], bytes], kind: str) -> Any:
-        """Return a handler that sends a file of the tab's workpiece."""
-
-        async def handler(request: web.Request) -> web.Response:
-            bench = self._benches.get(request.query.get("tab", ""))
-            if bench is None:
-                return web.Response(status=404, text="404: no such tab\n")
-            loop = asyncio.get_running_loop()
-            data = await loop.run_in_executor(self._pool, make, bench.workpiece)
-            return web.Response(body=data, content_type=kind)
-
-        return handler
+    async def _file(self, request: web.Request) -> web.Response:
+        """Send a file of the tab's workpiece."""
+        bench = self._benches.get(request.query.get("tab", ""))
+        if bench is None:
+            return web.Response(status=404, text="404: no such tab\n")
+        make, kind = FILES[request.path]
+        data = await asyncio.to_thread(make, bench.workpiece)
+        return web.Response(body=data, content_type=kind)
 
     async def _talk(self, request: web.Request) -> web.WebSocketResponse:
         """Answer a tab's messages as long as it is open."""
@@ -116,7 +117,7 @@ class Studio:
         return tab
 
 
-async def _file(request: web.Request) -> web.FileResponse:
+async def _part(request: web.Request) -> web.FileResponse:
     return web.FileResponse(PAGE / request.path.strip("/"))
 
 

@@ -3,15 +3,19 @@
 import json
 from typing import Any, NamedTuple
 
-from .. import Camera
+from .. import Camera, io
 from .._files.fields import Fields
 from .._files.paths import parse_json
-from ..batch.inputs import numbers_of
+from ..batch.inputs import Start, numbers_of, poseless_camera
 from ..io import camera_from_dict, camera_to_dict
 from ..names import FREE
+from .hand import frame_object
 from .strokes import Work, work_from_list, work_to_list
+from .workpiece import Workpiece
 
 SCHEMA = "pinhole_jax.studio/1"
+#: A guess of the field of view (rad), if nobody gives one.
+PHI = 0.7
 #: The most bytes of a session: masks are in it.
 MOST_BYTES = 1 << 28
 
@@ -33,6 +37,22 @@ class Session(NamedTuple):
     work: Work = ()
     lines: tuple[Any, ...] = ()
     known_phi: float | None = None
+
+
+def new_session(workpiece: Workpiece, known: Start, up: str = "y") -> Session:
+    """Return the session that begins with what is known of the camera: without a pose one that
+    sees all of the mesh, upright along `up`; without a field of view the one in the photo's EXIF
+    data, or a guess, which is free.
+    """
+    (W, H), camera = workpiece.size, known.camera
+    phi = known.phi if camera is None else camera.phi
+    if phi is None and (fov := io.photo_fov(workpiece.photo)) is not None:
+        phi = fov.phi
+    if camera is None:
+        start = poseless_camera(PHI if phi is None else phi, W, H, known.lens)
+        camera = frame_object(start, workpiece.extent, up)
+    free, phi = (("pose", "phi"), None) if phi is None else (("pose",), float(phi))
+    return Session(workpiece.mesh, workpiece.photo, camera, free, known_phi=phi)
 
 
 def session_to_text(session: Session) -> str:
