@@ -34,7 +34,7 @@ from .strokes import (
     stroke_of,
     strokes_of,
 )
-from .workpiece import Workpiece, workpiece_of
+from .workpiece import Workpiece, whole_path, workpiece_of
 
 #: The answer to an action, as JSON holds it.
 Answer = dict[str, Any]
@@ -82,15 +82,15 @@ class Bench:
 
     def resume(self, session: Session) -> None:
         """Continue a session."""
-        files = tuple(str(Path(path).resolve()) for path in (session.mesh, session.photo))
+        mesh, photo = whole_path(session.mesh), whole_path(session.photo)
         workpiece = self.workpiece
-        if files != (workpiece.mesh, workpiece.photo):
-            workpiece = workpiece_of(*files)
+        if (mesh, photo) != (workpiece.mesh, workpiece.photo):
+            workpiece = workpiece_of(mesh, photo)
         (W, H), (w, h) = workpiece.size, (session.camera.W, session.camera.H)
         if (w, h) != (W, H):
             words = f"expected one of the photo's size {W} x {H}, got {w} x {h}"
             raise ValueError(f"`camera`: {words}")
-        self.workpiece, self.session = workpiece, session._replace(mesh=files[0], photo=files[1])
+        self.workpiece, self.session = workpiece, session._replace(mesh=mesh, photo=photo)
         # (It keeps some guesses, so that undo needs no new one.)
         self._guess = lru_cache(MOST_GUESSES)(lambda guides: guess_mask(workpiece.picture, guides))
         #: The last fit with all its cameras, and the number of the one that was chosen.

@@ -47,8 +47,12 @@ def workpiece_of(
     scene = read_scene(mesh, say)
     assert scene.mesh is not None
     extent = extent_of(np.asarray(scene.mesh.vertices, float))
-    files = (str(Path(path).resolve()) for path in (mesh, photo))
-    return Workpiece(*files, scene, picture, extent)
+    return Workpiece(whole_path(mesh), whole_path(photo), scene, picture, extent)
+
+
+def whole_path(path: str) -> str:
+    """Return a path from the root."""
+    return str(Path(path).resolve())
 
 
 def photo_file(workpiece: Workpiece) -> bytes:

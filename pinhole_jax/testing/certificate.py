@@ -74,7 +74,7 @@ class Certificate(NamedTuple):
         return "\n".join([_summary(self), HEAD, *map(_line, self.rows)])
 
 
-class _Subject(NamedTuple):
+class _Rendering(NamedTuple):
     """An image under test at a point, a camera and a scene.
 
     - `fine`: the point in JAX's default float type, for differences; `middle`: the image there.
@@ -125,12 +125,12 @@ def check_gradients(
     ```
     """
     _check(camera, scene, tolerance, directions)
-    subject = _subject(image, camera, scene, seed)
+    rendering = _rendering(image, camera, scene, seed)
     scales = Scales.for_precision(
-        camera.e.dtype, subject.middle.dtype, max(camera.H, camera.W), tolerance
+        camera.e.dtype, rendering.middle.dtype, max(camera.H, camera.W), tolerance
     )
-    probes = camera_and_scene(subject.point, scales, directions, seed)
-    rows = tuple(_row(subject, probe, scales) for probe in probes)
+    probes = camera_and_scene(rendering.point, scales, directions, seed)
+    rows = tuple(_row(rendering, probe, scales) for probe in probes)
     verdicts = {row.verdict for row in rows}
     certificate = Certificate(rows, "ok" in verdicts and verdicts <= {*RIGHT})
     if verbose:
@@ -138,7 +138,7 @@ def check_gradients(
     return certificate
 
 
-def _subject(image: Callable, camera: Camera, scene: Scene, seed: int) -> _Subject:
+def _rendering(image: Callable, camera: Camera, scene: Scene, seed: int) -> _Rendering:
     """Return an image, rendered and pulled back; no weight is small, so every pixel counts."""
     point = _cast((camera, scene), camera.e.dtype)
     fine = _cast(point, jnp.zeros(()).dtype)  # exact: the very same camera and scene
@@ -148,7 +148,7 @@ def _subject(image: Callable, camera: Camera, scene: Scene, seed: int) -> _Subje
     weight = random.uniform(0.5, 1.5, middle.shape) * random.choice([-1, 1], middle.shape)
     weight = weight.astype(np.float32)  # exact in either precision
     gradient = _gradient(image, point, jnp.asarray(weight))
-    return _Subject(image, point, fine, np.asarray(middle), weight.astype(float), gradient)
+    return _Rendering(image, point, fine, np.asarray(middle), weight.astype(float), gradient)
 
 
 def _cast(point: Any, dtype: np.dtype) -> Any:
@@ -176,30 +176,30 @@ def _gradient(image: Callable, point: Any, weight: Array) -> Any:
     return eqx.filter_grad(loss)(point)
 
 
-def _moved_image(subject: _Subject, probe: Probe, h: float) -> np.ndarray:
+def _moved_image(rendering: _Rendering, probe: Probe, h: float) -> np.ndarray:
     """Return the image at h times a direction from the point."""
-    leaf = np.asarray(probe.where(subject.fine))
+    leaf = np.asarray(probe.where(rendering.fine))
     moved = jnp.asarray(leaf + h * probe.value, leaf.dtype)
-    point = eqx.tree_at(probe.where, subject.fine, moved)
-    return np.asarray(_render(subject.image, point), float)
+    point = eqx.tree_at(probe.where, rendering.fine, moved)
+    return np.asarray(_render(rendering.image, point), float)
 
 
-def _row(subject: _Subject, probe: Probe, scales: Scales) -> Row:
-    still = jax.tree.map(jnp.zeros_like, eqx.filter(subject.point, eqx.is_inexact_array))
+def _row(rendering: _Rendering, probe: Probe, scales: Scales) -> Row:
+    still = jax.tree.map(jnp.zeros_like, eqx.filter(rendering.point, eqx.is_inexact_array))
     tangent = eqx.tree_at(probe.where, still, jnp.asarray(probe.value))
-    derivative = np.asarray(_forward(subject.image, subject.point, tangent), float)
+    derivative = np.asarray(_forward(rendering.image, rendering.point, tangent), float)
     steps = probe.step * np.asarray(STEPS)
     up, down = (
-        np.stack([_moved_image(subject, probe, h) for h in sign * steps]) for sign in (1, -1)
+        np.stack([_moved_image(rendering, probe, h) for h in sign * steps]) for sign in (1, -1)
     )
     tolerance, least = scales.tolerance, scales.least * scales.step_px / probe.step
     with np.errstate(invalid="ignore"):  # the verdict reports it, no warning
         largest = np.max(np.abs(up[0] - down[0])) / (2 * probe.step)
         scale = max(largest, least)
-        middle = subject.middle.astype(float)
+        middle = rendering.middle.astype(float)
         nearby = slopes(middle, up, down, probe.step, tolerance / 2 * scale)
         errors = outside(derivative, nearby) / scale
-        gap = _mode_gap(subject, probe, derivative, least)
+        gap = _mode_gap(rendering, probe, derivative, least)
     verdict = _verdict(errors, gap, nearby, scales, scale)
     if verdict == "ok" and largest <= tolerance * least:
         verdict = "moves nothing"
@@ -221,12 +221,12 @@ def _verdict(errors: np.ndarray, gap: float, nearby: Slopes, scales: Scales, sca
     return "undecided" if np.sum(nearby.kink) > KINKS_ALLOWED * np.sum(moving) else "ok"
 
 
-def _mode_gap(subject: _Subject, probe: Probe, derivative: np.ndarray, least: float) -> float:
+def _mode_gap(rendering: _Rendering, probe: Probe, derivative: np.ndarray, least: float) -> float:
     """Return the relative distance of <gradient, direction> from <weight, derivative>."""
     moved = probe.value != 0  # a NaN elsewhere belongs to another row
-    gradient = np.asarray(probe.where(subject.gradient), float)
+    gradient = np.asarray(probe.where(rendering.gradient), float)
     pulled = np.sum(gradient[moved] * probe.value[moved])
-    parts = subject.weight * derivative
+    parts = rendering.weight * derivative
     scale = max(np.sum(np.abs(parts)), least * sum(derivative.shape))
     return float(np.abs(pulled - np.sum(parts)) / scale)
 
