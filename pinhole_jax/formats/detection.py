@@ -1,7 +1,7 @@
 """`detect`: the convention of a camera of unknown origin is the one that explains a mask."""
 
 from collections.abc import Iterator
-from itertools import product, starmap
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +24,6 @@ from .pinhole import (
     pose_from_matrix,
     read_matrix,
 )
-from .window import resized
 
 #: Axes of the camera frame, and who has them.
 AXES: dict[str, np.ndarray] = {
@@ -34,10 +33,8 @@ AXES: dict[str, np.ndarray] = {
     "x left, y down, z backward": np.diag([-1.0, 1.0, -1.0, 1.0]),
 }
 LABELS = ("axes", "direction", "pixel_centres", "fov_axis")
-#: First look: the longer side, px; not worth a program of its own up to the second number.
-COARSE_PX, FULL_PX = 96, 320
-#: How many cameras get a second look.
-KEPT = 24
+#: Whose IoU is less than this share of the best one's is no rival.
+RIVAL = 0.5
 #: A mask decides between two hypotheses where, of the pixels that differ, the target takes
 #: one's side in this share, and in more than chance would by this many standard deviations.
 SHARE = 0.6
@@ -101,7 +98,7 @@ def detect(
     down; or `focal_px`; or `fov`, rad, of the vertical, the horizontal or the diagonal. Without `K`
     the principal point is taken for (W/2, H/2).
 
-    All readings are rendered small, the best in full. Scale, skew and distortion are not tried.
+    All readings are rendered. Scale, skew and distortion are not tried.
 
     Raises ValueError where the mask is empty or full, the pose no rigid transform, or the
     intrinsics are none or several.
@@ -122,29 +119,35 @@ def detect(
     given = {"pose": pose, "K": K, "focal_px": focal_px, "fov": fov}
     fields = Fields({name: x for name, x in given.items() if x is not None}, "the arguments")
     readings: dict[tuple[float, ...], list[Reading]] = {}
-    for reading in starmap(Reading, product(_poses(fields), _views(fields, W, H))):
-        _, place = reading.pose
-        numbers = np.r_[np.ravel(place / np.max(np.abs(place))), reading.view[1]]
+    for (pose_words, place), (view_words, view) in product(_poses(fields), _views(fields, W, H)):
+        numbers = np.r_[np.ravel(place / np.max(np.abs(place))), view]
+        reading = Reading((*pose_words, *view_words), place, view)
         readings.setdefault(tuple(np.round(numbers, 6) + 0.0), []).append(reading)
-    is_hard = bool(np.all((target == 0) | (target == 1)))
-    ranked = []
-    for group in _promising(scene, target, [*readings.values()]):
-        camera = _camera(group[0])
-        image = np.asarray(silhouette(camera, scene), float)
-        columns = zip(*((*reading.pose[0], *reading.view[0]) for reading in group), strict=True)
-        joined = (" or ".join(dict.fromkeys(column)) for column in columns)
-        iou = _iou(image > 0.5 if is_hard else image, target)
-        ranked.append((Hypothesis(iou, *joined, camera=camera), image > 0.5))
-    ranked.sort(key=lambda pair: -pair[0].iou)
-    return _verdict(ranked, target > 0.5)
+    hypotheses = (_hypothesis(scene, target, group) for group in readings.values())
+    return _verdict(scene, target, sorted(hypotheses, key=lambda hypothesis: -hypothesis.iou))
 
 
 class Reading(NamedTuple):
-    """A reading of the numbers: axes and direction of the pose, which is world_from_camera in
-    OpenCV's axes; pixel centres and axis of the field of view, and the intrinsics."""
+    """A reading of the numbers: what it takes them for (`LABELS`), world_from_camera in OpenCV's
+    axes, and the intrinsics."""
 
-    pose: tuple[tuple[str, str], Pose]
-    view: tuple[tuple[str, str], Pinhole]
+    words: tuple[str, ...]
+    place: Pose
+    view: Pinhole
+
+
+def _hypothesis(scene: Scene, target: np.ndarray, group: list[Reading]) -> Hypothesis:
+    """Return what readings of the same camera say."""
+    _, place, view = group[0]
+    camera = camera_from_pinhole(view, place, OPENCV, Fields({}, "the arguments"))
+    # With a lens, needed or not: then one compiled program serves all.
+    camera = camera.replace(lens=camera.lens or Lens([camera.W / 2, camera.H / 2]))
+    image = np.asarray(silhouette(camera, scene), float)
+    if np.all((target == 0) | (target == 1)):
+        image = image > 0.5
+    iou = float(np.minimum(image, target).sum() / np.maximum(image, target).sum())
+    columns = zip(*(reading.words for reading in group), strict=True)
+    return Hypothesis(iou, *(" or ".join(dict.fromkeys(column)) for column in columns), camera)
 
 
 def _views(fields: Fields, W: int, H: int) -> Iterator[tuple[tuple[str, str], Pinhole]]:
@@ -183,42 +186,15 @@ def _poses(fields: Fields) -> Iterator[tuple[tuple[str, str], Pose]]:
         yield (axes, "world_from_camera" + words), transform @ frame
 
 
-def _camera(reading: Reading) -> Camera:
-    """Return the camera with a lens, needed or not: then one compiled program serves all."""
-    (_, pose), (_, view) = reading
-    camera = camera_from_pinhole(view, pose, OPENCV, Fields({}, "the arguments"))
-    return camera.replace(lens=camera.lens or Lens([camera.W / 2, camera.H / 2]))
-
-
-def _promising(
-    scene: Scene, target: np.ndarray, groups: list[list[Reading]]
-) -> Iterator[list[Reading]]:
-    """Yield the readings whose cameras explain a small image of the target best."""
-    from PIL import Image
-
-    H, W = target.shape
-    factor = 1.0 if max(W, H) <= FULL_PX else COARSE_PX / max(W, H)
-    size = max(1, round(W * factor)), max(1, round(H * factor))
-    picture = Image.fromarray(target.astype(np.float32))
-    small = np.asarray(picture.resize(size, Image.Resampling.BOX), float)
-    cameras = (resized(_camera(group[0]), *size) for group in groups)
-    ious = [_iou(silhouette(camera, scene), small) for camera in cameras]
-    order = np.argsort(ious)[::-1][:KEPT]
-    return (groups[k] for k in order if ious[k] >= 0.5 * max(ious))
-
-
-def _iou(image: ArrayLike, target: np.ndarray) -> float:
-    return float(np.minimum(image, target).sum() / np.maximum(image, target).sum())
-
-
-def _verdict(ranked: list[tuple[Hypothesis, np.ndarray]], target: np.ndarray) -> Detection:
-    hypotheses = tuple(hypothesis for hypothesis, _ in ranked)
-    best, image = ranked[0]
+def _verdict(scene: Scene, target: np.ndarray, hypotheses: list[Hypothesis]) -> Detection:
+    best, others = hypotheses[0], hypotheses[1:]
     if best.iou < 0.5:
         words = f"No reading of the numbers explains the mask: the best, {best}, has IoU"
-        return Detection(hypotheses, f"{words} {best.iou:.3f}.", False)
+        return Detection((*hypotheses,), f"{words} {best.iou:.3f}.", False)
+    covers = lambda hypothesis: np.asarray(silhouette(hypothesis.camera, scene)) > 0.5
+    near, image, inside = RIVAL * best.iou, covers(best), target > 0.5
+    rivals = [x for x in others if x.iou >= near and not _is_decided(image, covers(x), inside)]
     sentence = f"{best}: IoU {best.iou:.4f}."
-    rivals = [other for other, mask in ranked[1:] if not _is_decided(image, mask, target)]
     if rivals:
         unsure = [
             name.replace("_", " ")
@@ -227,9 +203,9 @@ def _verdict(ranked: list[tuple[Hypothesis, np.ndarray]], target: np.ndarray) ->
         ]
         sentence += f" But the mask does not tell {' and '.join(unsure)}: {rivals[0]} has IoU"
         sentence += f" {rivals[0].iou:.4f}."
-    elif len(ranked) > 1:
-        sentence += f" Next: {hypotheses[1]}, IoU {hypotheses[1].iou:.4f}."
-    return Detection(hypotheses, sentence, not rivals)
+    elif others:
+        sentence += f" Next: {others[0]}, IoU {others[0].iou:.4f}."
+    return Detection((*hypotheses,), sentence, not rivals)
 
 
 def _is_decided(image: np.ndarray, other: np.ndarray, target: np.ndarray) -> bool:
