@@ -194,11 +194,12 @@ def _with_not_finite(value: Any) -> Any:
     return NOT_FINITE.get(value, value) if value is None or isinstance(value, str) else value
 
 
-def number(text: str) -> float:
-    """Return the number that a text is, or raise ValueError; Python would read 1_0 as 10."""
-    if "_" in text or not text.isascii():
-        raise ValueError(f"could not convert to a number: {short(text)}")
-    return float(text)
+def number_or_text(word: str) -> float | str:
+    """Return the number that a word is, else the word; Python would read 1_0 as 10."""
+    try:
+        return word if "_" in word or not word.isascii() else float(word)
+    except ValueError:
+        return word
 
 
 def short(value: Any) -> str:

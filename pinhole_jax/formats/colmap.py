@@ -8,32 +8,31 @@ Focal lengths in px, no field of view. Pixel centres lie at halves: the image's 
 import os
 import re
 import struct
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Container, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from .._camera.camera import Camera
 from .._camera.distortion import BrownConrady, Distortion, Fisheye, Rational
 from .._camera.poses import inverse, pose_of, rigid
-from .._files.fields import Fields, number, short
+from .._files.fields import Fields, number_or_text, short
 from .._files.paths import FilePath, open_file, replace_file
 from .cameras import KIND, Cameras, by_name, check_cameras
 from .pinhole import OPENCV, Pinhole, camera_from_pinhole, distortion_model, pinhole
 
-#: COLMAP's models by number, with their parameters; distortion is what is not f, fx, fy, cx, cy.
+#: COLMAP's models by name: their numbers, and parameters; what is not f, fx, fy, cx, cy is
+#: distortion.
 MODELS = {
-    0: ("SIMPLE_PINHOLE", "f cx cy"),
-    1: ("PINHOLE", "fx fy cx cy"),
-    2: ("SIMPLE_RADIAL", "f cx cy k1"),
-    3: ("RADIAL", "f cx cy k1 k2"),
-    4: ("OPENCV", "fx fy cx cy k1 k2 p1 p2"),
-    5: ("OPENCV_FISHEYE", "fx fy cx cy k1 k2 k3 k4"),
-    6: ("FULL_OPENCV", "fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6"),
-    8: ("SIMPLE_RADIAL_FISHEYE", "f cx cy k1"),
-    9: ("RADIAL_FISHEYE", "f cx cy k1 k2"),
+    "SIMPLE_PINHOLE": (0, "f cx cy"),
+    "PINHOLE": (1, "fx fy cx cy"),
+    "SIMPLE_RADIAL": (2, "f cx cy k1"),
+    "RADIAL": (3, "f cx cy k1 k2"),
+    "OPENCV": (4, "fx fy cx cy k1 k2 p1 p2"),
+    "OPENCV_FISHEYE": (5, "fx fy cx cy k1 k2 k3 k4"),
+    "FULL_OPENCV": (6, "fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6"),
+    "SIMPLE_RADIAL_FISHEYE": (8, "f cx cy k1"),
+    "RADIAL_FISHEYE": (9, "f cx cy k1 k2"),
 }
-NUMBERS = {name: number for number, (name, _) in MODELS.items()}
 PARTS = ("cameras", "images", "points3D")
 #: The most bytes of an image's name (a path, on any system), of a line, and of a file, whose points
 #: are passed over.
@@ -41,8 +40,8 @@ MOST_NAME, MOST_LINE, MOST_MODEL = 4096, 1 << 26, 1 << 36
 
 #: A camera's intrinsics, its lens, and the place in its file.
 Intrinsics = tuple[Pinhole, Distortion | None, Fields]
-#: The values of a line or a binary record, in the order of `COLUMNS`.
-Record = Sequence[Any]
+#: The values of a line or a binary record, in the order of `COLUMNS`, and the record's place.
+Record = tuple[Sequence[Any], str]
 COLUMNS = {
     "cameras": "CAMERA_ID MODEL WIDTH HEIGHT PARAMS",
     "images": "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME",
@@ -111,71 +110,50 @@ def _can_hold(name: str, binary: bool) -> bool:
 def colmap_intrinsics(file: Path) -> dict[str, Intrinsics]:
     """Return the intrinsics and lenses of a model's cameras.txt or .bin, by their numbers."""
     cameras: dict[str, Intrinsics] = {}
-    for (key, *values), where in _records(file):
-        key = _key("CAMERA_ID", key, where, cameras)
-        cameras[key] = _view(*values, where=where)
+    for (key, model, *values), where in _records(file):
+        known, given = ", ".join(MODELS), Fields({"CAMERA_ID": key}, where)
+        if model not in MODELS:
+            raise given.wrong("MODEL", f"one of {known}", str(model))
+        names = MODELS[model][1].split()
+        if len(values) != len(names) + 2:
+            words = f"{len(names)} numbers ({', '.join(names)}) of {model}"
+            raise given.wrong("PARAMS", words, str(len(values) - 2))
+        fields = Fields(dict(zip(("WIDTH", "HEIGHT", *names), values, strict=True)), where)
+        cameras[_new_key(given, "CAMERA_ID", cameras)] = _view(model, names, fields)
     return cameras
 
 
-def _records(file: Path) -> Iterator[tuple[Record, str]]:
-    """Yield a file's records, each with its place."""
-    if file.suffix == ".txt":
-        return _lines_of(file)
-    return _binary_cameras(file) if file.stem == "cameras" else _binary_images(file)
-
-
-def _key(name: str, value: object, where: str, known: Iterable[str] = ()) -> str:
-    """Return the number of a camera or an image, which must not be known already."""
-    key = str(value)
-    if not re.fullmatch(r"[0-9]{1,10}", key):
-        raise ValueError(f"`{name}`: expected a whole number, got {short(key)} ({where})")
-    if key in known:
-        raise ValueError(f"`{name}`: expected each once, got {key} twice ({where})")
-    return key
-
-
-def _view(model: str, *values: Any, where: str) -> Intrinsics:
-    if model not in NUMBERS:
-        raise ValueError(f"`MODEL`: expected one of {', '.join(NUMBERS)}, got {model} ({where})")
-    names = MODELS[NUMBERS[model]][1].split()
-    if len(values) != len(names) + 2:
-        raise ValueError(
-            f"`PARAMS`: expected {len(names)} numbers ({', '.join(names)}) of {model}, got"
-            f" {len(values) - 2} ({where})"
-        )
-    numbers = zip(("WIDTH", "HEIGHT", *names), _numbers(values, where), strict=True)
-    fields = Fields(dict(numbers), where)
-    fx, fy = ("f", "f") if "f" in names else ("fx", "fy")
-    focals = fields.positive(fx), fields.positive(fy)
+def _view(model: str, names: Sequence[str], fields: Fields) -> Intrinsics:
+    focals = [fields.positive(name) for name in names if name[0] == "f"]
     centre = fields.number("cx"), fields.number("cy")
-    view = Pinhole(*focals, *centre, fields.integer("WIDTH"), fields.integer("HEIGHT"))
+    size = fields.integer("WIDTH"), fields.integer("HEIGHT")
     distorted = {name: fields.number(name) for name in names if name[0] in "kp"}
     models = (Fisheye,) if model.endswith("FISHEYE") else (BrownConrady, Rational)
+    view = Pinhole(focals[0], focals[-1], *centre, *size)
     return view, distortion_model(distorted, fields, models), fields
 
 
 def _posed(images: Path, cameras: Path) -> Iterator[tuple[str, Camera]]:
     """Yield the cameras of images, with their names."""
     known, met = colmap_intrinsics(cameras), set[str]()
-    for (key, *pose, camera, name), where in _records(images):
-        met.add(_key("IMAGE_ID", key, where, met))
-        number = _key("CAMERA_ID", camera, where)
+    for (key, w, x, y, z, *shift, camera, name), where in _records(images):
+        data = {"IMAGE_ID": key, "QUATERNION": [x, y, z, w], "TRANSLATION": shift}
+        fields = Fields({**data, "CAMERA_ID": camera}, where)
+        met.add(_new_key(fields, "IMAGE_ID", met))
+        number = _new_key(fields, "CAMERA_ID")
         if number not in known:
-            words = f"expected a camera of {str(cameras)!r}, got {number} ({where})"
-            raise ValueError(f"`CAMERA_ID`: {words}")
+            raise fields.wrong("CAMERA_ID", f"a camera of {str(cameras)!r}", number)
         view, distortion, source = known[number]
-        w, *xyz = _numbers(pose, where)
-        fields = Fields({"QUATERNION": [*xyz[:3], w], "TRANSLATION": xyz[3:]}, where)
-        matrix = rigid(fields.rotation("QUATERNION"), fields.array("TRANSLATION", (3,)))
-        yield name, camera_from_pinhole(view, inverse(matrix), OPENCV, source, distortion)
+        pose = rigid(fields.rotation("QUATERNION"), fields.array("TRANSLATION", (3,)))
+        yield name, camera_from_pinhole(view, inverse(pose), OPENCV, source, distortion)
 
 
-def _numbers(values: Iterable[Any], where: str) -> list[float]:
-    """Return numbers, which a text's line has as words."""
-    try:
-        return [number(value) if isinstance(value, str) else float(value) for value in values]
-    except ValueError as error:
-        raise ValueError(f"expected numbers, got {str(error)[:99]} ({where})") from None
+def _new_key(fields: Fields, name: str, known: Container[str] = ()) -> str:
+    """Return the number of a camera or an image, which must not be known already."""
+    key = str(fields.integer(name, 0))
+    if key in known:
+        raise fields.wrong(name, "each once", f"{key} twice")
+    return key
 
 
 def _pose(camera: Camera) -> list[float]:
@@ -187,8 +165,13 @@ def _pose(camera: Camera) -> list[float]:
     return [w, *xyz, *matrix[:3, 3].tolist()]
 
 
-def _lines_of(file: Path) -> Iterator[tuple[Record, str]]:
-    """Yield the words of each entry of a text file, and its place; a line of points follows each
+def _records(file: Path) -> Iterator[Record]:
+    """Yield a file's records, each with its place."""
+    return _lines_of(file) if file.suffix == ".txt" else _binary_records(file)
+
+
+def _lines_of(file: Path) -> Iterator[Record]:
+    """Yield the words of each entry of a text file, numbers as such; a line of points follows each
     image's."""
     columns, count, promised = COLUMNS[file.stem].split(), 0, None
     images, lines = file.stem == "images", _lines(file)
@@ -199,8 +182,9 @@ def _lines_of(file: Path) -> Iterator[tuple[Record, str]]:
         if not words or line.startswith("#"):
             continue
         if len(words) < len(columns):
-            raise ValueError(f"expected {COLUMNS[file.stem]}, got {short(line)} ({where})")
-        yield words, where
+            raise ValueError(f"expected {COLUMNS[file.stem]}, got {short(line)} (in {where})")
+        *head, last = map(number_or_text, words)
+        yield [*head, words[-1] if images else last], where
         count += 1
         if images:
             _check_points(*next(lines, ("", where)))
@@ -215,7 +199,7 @@ def _lines(file: Path) -> Iterator[tuple[str, str]]:
         for number, raw in enumerate(iter(lambda: stream.readline(MOST_LINE), b""), 1):
             where = f"{str(file)!r}, line {number}"
             if len(raw) == MOST_LINE:
-                raise ValueError(f"expected less than {MOST_LINE} bytes in a line ({where})")
+                raise ValueError(f"expected less than {MOST_LINE} bytes in a line (in {where})")
             yield _decoded(raw, where).removeprefix("\ufeff"), where
 
 
@@ -223,7 +207,7 @@ def _decoded(data: bytes, where: str, what: str = "") -> str:
     try:
         return data.decode()
     except UnicodeDecodeError:
-        raise ValueError(f"{what}expected text, got bytes that are no UTF-8 ({where})") from None
+        raise ValueError(f"{what}expected text, got bytes that are no UTF-8 (in {where})") from None
 
 
 def _check_points(line: str, where: str) -> None:
@@ -232,42 +216,40 @@ def _check_points(line: str, where: str) -> None:
     if len(words) % 3 or not all(re.fullmatch(r"-?\d+", word) for word in words[2::3]):
         raise ValueError(
             "expected the image's points (X Y POINT3D_ID, or an empty line), got"
-            f" {line[:60]!r} ({where})"
+            f" {line[:60]!r} (in {where})"
         )
 
 
-def _binary_cameras(file: Path) -> Iterator[tuple[Record, str]]:
-    with _stream(file) as stream:
-        for _ in range(*_take(stream, "<Q")):
-            key, model, *size = _take(stream, "<IiQQ")
-            name, parameters = MODELS.get(model, (f"number {model}", ""))
-            numbers = _take(stream, f"<{len(parameters.split())}d")
-            yield (key, name, *size, *numbers), f"{str(file)!r}, camera {key}"
-
-
-def _binary_images(file: Path) -> Iterator[tuple[Record, str]]:
-    with _stream(file) as stream:
-        for _ in range(*_take(stream, "<Q")):
-            numbers = _take(stream, "<I7dI")
-            where = f"{str(file)!r}, image {numbers[0]}"
-            yield (*numbers, _name(stream, where)), where
-            points = 24 * _take(stream, "<Q")[0]
-            stream.seek(min(points, MOST_MODEL), os.SEEK_CUR)
-
-
-@contextmanager
-def _stream(file: Path) -> Iterator[BinaryIO]:
-    """Yield a file to read from its beginning to its end, which has to be reached."""
+def _binary_records(file: Path) -> Iterator[Record]:
+    """Yield a binary file's records: it has to end where they do."""
+    take = _take_camera if file.stem == "cameras" else _take_image
     with open_file(file, KIND, MOST_MODEL) as stream:
         size = os.fstat(stream.fileno()).st_size
         try:
-            yield stream
+            for _ in range(*_take(stream, "<Q")):
+                yield take(stream, repr(str(file)))
         except struct.error:
-            words = f"expected more than {size} bytes, got the end (in {str(file)!r})"
-            raise ValueError(words) from None
+            raise ValueError(
+                f"expected more than {size} bytes, got the end (in {str(file)!r})"
+            ) from None
         if stream.tell() != size:
-            words = f"expected {stream.tell()} bytes, got {size} (in {str(file)!r})"
-            raise ValueError(words)
+            raise ValueError(f"expected {stream.tell()} bytes, got {size} (in {str(file)!r})")
+
+
+def _take_camera(stream: BinaryIO, file: str) -> Record:
+    key, model, *size = _take(stream, "<IiQQ")
+    known = {number: (name, names) for name, (number, names) in MODELS.items()}
+    name, names = known.get(model, (f"number {model}", ""))
+    return (key, name, *size, *_take(stream, f"<{len(names.split())}d")), f"{file}, camera {key}"
+
+
+def _take_image(stream: BinaryIO, file: str) -> Record:
+    numbers = _take(stream, "<I7dI")
+    where = f"{file}, image {numbers[0]}"
+    name = _name(stream, where)
+    points = 24 * _take(stream, "<Q")[0]
+    stream.seek(min(points, MOST_MODEL), os.SEEK_CUR)
+    return (*numbers, name), where
 
 
 def _take(stream: BinaryIO, form: str) -> tuple[Any, ...]:
@@ -281,7 +263,7 @@ def _name(stream: BinaryIO, where: str) -> str:
     name, end, _ = stream.read(MOST_NAME + 1).partition(b"\0")
     if not end:
         _take(stream, "c")
-        raise ValueError(f"`NAME`: expected at most {MOST_NAME} bytes, got more ({where})")
+        raise ValueError(f"`NAME`: expected at most {MOST_NAME} bytes, got more (in {where})")
     stream.seek(start + len(name) + 1)
     return _decoded(name, where, "`NAME`: ")
 
@@ -294,7 +276,7 @@ def _intrinsics(camera: Camera) -> tuple:
     if distortion is None or isinstance(distortion, Fisheye):
         name = "OPENCV_FISHEYE" if distortion else "PINHOLE"
     values = {**view._asdict(), **({} if distortion is None else distortion.coefficients())}
-    parameters = MODELS[NUMBERS[name]][1].split()
+    parameters = MODELS[name][1].split()
     return name, view.W, view.H, *(values.get(name, 0.0) for name in parameters)
 
 
@@ -310,7 +292,7 @@ def _binary(views: list[tuple], images: list[tuple]) -> Iterator[bytes]:
     """Yield cameras.bin, images.bin and points3D.bin."""
     none = struct.pack("<Q", 0)
     yield struct.pack("<Q", len(views)) + b"".join(
-        struct.pack(f"<IiQQ{len(numbers)}d", key, NUMBERS[model], W, H, *numbers)
+        struct.pack(f"<IiQQ{len(numbers)}d", key, MODELS[model][0], W, H, *numbers)
         for key, model, W, H, *numbers in views
     )
     yield struct.pack("<Q", len(images)) + b"".join(

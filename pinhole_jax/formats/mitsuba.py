@@ -17,7 +17,7 @@ import numpy as np
 
 from .._camera.camera import Camera
 from .._camera.poses import Pose, rigid
-from .._files.fields import Fields, Size, number, short
+from .._files.fields import Fields, Size, number_or_text, short
 from .._files.paths import FilePath, read_text
 from .cameras import KIND, Cameras, by_name, check_cameras, parse_xml, save_text
 from .pinhole import (
@@ -165,11 +165,11 @@ def _properties(element: ET.Element, where: str) -> Fields:
 
 
 def _value(text: str) -> Any:
-    try:
-        numbers = [number(word) for word in re.split(r"[,\s]+", text.strip())]
-    except ValueError:
+    """Return a text, or the number or the numbers that it is."""
+    words = [number_or_text(word) for word in re.split(r"[,\s]+", text.strip())]
+    if any(isinstance(word, str) for word in words):
         return text
-    return numbers if len(numbers) > 1 else numbers[0]
+    return words if len(words) > 1 else words[0]
 
 
 def _camera(sensor: ET.Element, size: Size | None, where: str) -> Camera:
