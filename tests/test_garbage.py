@@ -2,6 +2,7 @@
 
 import json
 import re
+import signal
 import struct
 import subprocess
 import sys
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 import trimesh
 from chosen import first
+from fuzz_readers import broken, damaged, ring, targets
 from PIL import Image
 from refusals import refusal
 
@@ -211,36 +213,18 @@ def test_rays_that_are_no_rays_miss_and_leave_others_alone(bad):
         assert not np.any(np.isnan(x))
 
 
-# --- mesh files ----------------------------------------------------------------------------------
+# --- files ---------------------------------------------------------------------------------------
 
 
-def spoilt(whole, changes):
-    """Return a file's bytes cut short at some places, and with some bytes changed, many times."""
-    random, size = np.random.default_rng(0), len(whole)
-    copies = [whole[:k] for k in (0, 1, 4, 8, 20, 30, size // 3, size // 2, size - 2)]
-    for _ in range(changes):
-        data = np.frombuffer(whole, np.uint8).copy()
-        data[random.integers(0, size, 5)] = random.integers(256, size=5)
-        copies.append(data.tobytes())
-    return [*copies, random.bytes(500)]
-
-
-MESHES, IMAGES = ["obj", "ply", "stl", "off", "glb"], ["png", "jpg", "tiff", "bmp", "webp", "pgm"]
-
-
-@pytest.mark.parametrize("ending", [*MESHES, *IMAGES])
-def test_files_cut_short_or_with_wrong_bytes(tmp_path, ending):
-    path, square = tmp_path / f"x.{ending}", np.pad(np.full((10, 12), 255, np.uint8), 8)
-    (BOX.export if ending in MESHES else Image.fromarray(square).save)(path)
-    read = pj.load_mesh if ending in MESHES else io.load_mask
-    for data in spoilt(path.read_bytes(), 5 if ending in MESHES else 40):
-        path.write_bytes(data)
-        try:
-            numbers = getattr(read(path), "vertices", 0)
-            assert np.all(np.isfinite(numbers))
-        except ValueError as error:
-            assert "`path`: expected" in str(error) or "(in " in str(error)  # noqa: PT017
-    assert [*tmp_path.iterdir()] == [path]
+def test_damaged_files_are_refused_by_name_or_read_as_finite_numbers(tmp_path, exhaustive):
+    random = np.random.default_rng(0)
+    signal.signal(signal.SIGPROF, ring)
+    for name, target in targets(tmp_path).items():
+        path = tmp_path / target.file
+        for _ in range(500 if exhaustive else 40):
+            data = damaged(target.valid, random)
+            path.write_bytes(data)
+            assert broken(target, path) is None, (name, data)
 
 
 # --- images --------------------------------------------------------------------------------------
