@@ -189,7 +189,7 @@ def weigh(offsets: Offsets, quantisation: float, roughly: bool = False) -> Error
     logs = together.log_likelihood
     total: Any = logsumexp(logs)
     share, likeliest = np.exp(logs - total), int(np.argmax(logs))
-    move = share @ together.move
+    move = _likeliest_move(logs, together.move, together.covariance)
     apart = together.move - move
     return ErrorFit(
         log=float(total),
@@ -199,6 +199,21 @@ def weigh(offsets: Offsets, quantisation: float, roughly: bool = False) -> Error
         move=move,
         covariance=np.tensordot(share, together.covariance, axes=1) + (share * apart.T) @ apart,
     )
+
+
+def _likeliest_move(logs: np.ndarray, moves: np.ndarray, covariances: np.ndarray) -> np.ndarray:
+    """The mode (n,), uphill from 0, of a mixture of normal distributions: of logarithms (h,) of
+    weights, means (h, n) and covariances (h, n, n). It climbs by expectation-maximisation."""
+    precise = np.linalg.inv(covariances)
+    logs = logs + np.linalg.slogdet(precise)[1] / 2
+    move = np.zeros(moves.shape[1])
+    for _ in range(20):
+        apart = moves - move
+        density = logs - np.einsum("hi,hij,hj->h", apart, precise, apart) / 2
+        near = np.exp(density - np.max(density))
+        total = np.tensordot(near, precise, axes=1)
+        move = np.linalg.solve(total, np.einsum("h,hij,hj->i", near, precise, moves))
+    return move
 
 
 class _Model:
