@@ -9,13 +9,18 @@ that nothing hides, costs as much.
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from .._mask.edges import NearWeights
-from .._outline.outline_errors import ErrorFit, Offsets, weigh
+from .._outline.outline_errors import ErrorFit, ErrorModel
 from .._rules import RULES
-from .edge import EXACT_PX, Blocks, Edge, OutlinePoints, matched
+from .edge import EXACT_PX, Edge, OutlinePoints, matched
+
+#: Runs are tried this many blocks longer at both ends.
+WIDER = (1, 2, 4)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,49 +95,118 @@ class Account:
         return float(np.sum(edge.step[self.gross & self.inside & large]) / np.sum(whole))
 
 
-def account(
-    edge: Edge, outline: OutlinePoints | None, quantisation: float, roughly: bool = False
-) -> Account | None:
-    """The account of a mask's edge by a camera that sees an outline; None where there is none.
+@dataclass(frozen=True, eq=False)
+class _Segmentation:
+    log: float
+    errors: ErrorFit
+    gross: np.ndarray
 
-    Its pixels' quantisation leaves them this mean square residual. `roughly`: with few hypotheses
-    on how the edge errs.
-    """
-    blocks = edge.blocks(RULES.stretches, RULES.stretch)
-    if outline is None or len(blocks.length) < outline.by_move.shape[1] + 4:
-        return None
-    pairs = matched(edge, outline)
-    limit = edge.size / 2
-    offset = blocks.mean(np.clip(pairs.off, -limit, limit))
-    rounding = max(quantisation, EXACT_PX**2)
-    found = _explained(edge, blocks, offset, blocks.mean(pairs.by_move), rounding, roughly)
-    if found is None:
-        return None
-    gross = found.gross[blocks.of]
-    inside = (offset < 0)[blocks.of]
-    away = edge.distance(outline.at)
-    alone = away > max(RULES.within * found.errors.size, RULES.beside) + abs(found.errors.bias)
-    whole = np.mean(alone)
-    alone[alone] = ~_is_hidden(edge, gross & inside, outline.at[alone], away[alone])
-    missing = float(np.mean(alone))
-    px = missing * outline.length
-    price = _price(px, min(px / 3, 1.0), edge.size, max(found.errors.size, 0.3))
-    covered = float(whole - missing)
-    price += covered / RULES.small  # (how much an occluder hides: exponential)
-    errors = found.errors
-    shift = float(np.max(np.abs(pairs.by_move @ errors.move)))
-    return Account(
-        log=found.log - price,
-        size=errors.size,
-        length=errors.length,
-        gross=gross,
-        inside=inside,
-        missing=missing,
-        covered=covered,
-        move=errors.move,
-        shift=shift,
-        covariance=errors.covariance,
-    )
+
+class Likelihood:
+    """The likelihood of a mask's edge, whose pixels' quantisation leaves them this mean square."""
+
+    def __init__(self, edge: Edge, quantisation: float):
+        self.edge = edge
+        self._blocks = edge.blocks(RULES.stretches, RULES.stretch)
+        self._rounding = max(quantisation, EXACT_PX**2)
+
+    @cached_property
+    def _at(self) -> np.ndarray:
+        return self._blocks.mean(self.edge.at)
+
+    @cached_property
+    def _rough(self) -> ErrorModel:
+        return self._model(RULES.lengths[1:2], RULES.shapes[:1])
+
+    @cached_property
+    def _fine(self) -> ErrorModel:
+        return self._model(RULES.lengths, RULES.shapes)
+
+    def _model(self, lengths: Any, shapes: Any) -> ErrorModel:
+        variance = self._rounding / float(np.mean(self._blocks.length))
+        return ErrorModel(self._at, variance, lengths, shapes)
+
+    def account(self, outline: OutlinePoints | None, roughly: bool = False) -> Account | None:
+        """The account by a camera that sees an outline; None where there is none. `roughly`: with
+        few hypotheses on how the edge errs."""
+        edge, blocks = self.edge, self._blocks
+        if outline is None or len(blocks.length) < outline.by_move.shape[1] + 4:
+            return None
+        pairs = matched(edge, outline)
+        limit = edge.size / 2
+        offset = blocks.mean(np.clip(pairs.off, -limit, limit))
+        found = self._explained(offset, blocks.mean(pairs.by_move), roughly)
+        if found is None:
+            return None
+        gross, errors = found.gross[blocks.of], found.errors
+        inside = (offset < 0)[blocks.of]
+        away = edge.distance(outline.at)
+        alone = away > max(RULES.within * errors.size, RULES.beside) + abs(errors.bias)
+        whole = np.mean(alone)
+        alone[alone] = ~_is_hidden(edge, gross & inside, outline.at[alone], away[alone])
+        missing = float(np.mean(alone))
+        px = missing * outline.length
+        price = _price(px, min(px / 3, 1.0), edge.size, max(errors.size, 0.3))
+        covered = float(whole - missing)
+        price += covered / RULES.small  # (how much an occluder hides: exponential)
+        return Account(
+            log=found.log - price,
+            size=errors.size,
+            length=errors.length,
+            gross=gross,
+            inside=inside,
+            missing=missing,
+            covered=covered,
+            move=errors.move,
+            shift=float(np.max(np.abs(pairs.by_move @ errors.move))),
+            covariance=errors.covariance,
+        )
+
+    def _explained(
+        self, offset: np.ndarray, by_move: np.ndarray, roughly: bool
+    ) -> _Segmentation | None:
+        """The likeliest runs of gross errors among offsets; None if nearly all are."""
+        length, ends = self._blocks.length, float(np.log(len(offset)))
+
+        def weighed(gross: np.ndarray, model: ErrorModel) -> _Segmentation:
+            errors = model.fit(offset, by_move, gross)
+            # As dense as what lies about a smooth curve within a pixel.
+            log = errors.log - np.sum(gross) / 2
+            runs = np.count_nonzero(gross != np.roll(gross, 1)) / 2
+            log -= 2 * ends * runs + _price(np.sum(length[gross]), runs, self.edge.size, 1.0)
+            return _Segmentation(float(log), errors, gross)
+
+        some = self._runs(offset)
+        if not some:
+            return None
+        if len(some) == 1 and not roughly:
+            return weighed(some[0], self._fine)
+        likeliest = sorted((weighed(x, self._rough) for x in some), key=lambda x: -x.log)
+        # Where an occluder meets the outline, a camera can be turned onto a part of it.
+        wider = (_widened(likeliest[0].gross, by) for by in WIDER if np.any(likeliest[0].gross))
+        likeliest += [weighed(x, self._rough) for x in wider if np.mean(x) <= 1 - RULES.small]
+        likeliest.sort(key=lambda x: -x.log)
+        if roughly:
+            return likeliest[0]
+        return max((weighed(x.gross, self._fine) for x in likeliest[:2]), key=lambda x: x.log)
+
+    def _runs(self, offset: np.ndarray) -> list[np.ndarray]:
+        """None, and the cheapest runs (N,) of gross offsets for each size of the others; nothing if
+        nearly all are gross."""
+        length, size = self._blocks.length, np.hypot(RULES.sizes, self._rounding**0.5)[:, None]
+        price = np.log(np.maximum(RULES.gross * self.edge.size / size, 1.5))
+        share = np.clip(length / (2 * RULES.lengths[0]), 0, 1)
+        fits = share * ((offset / size) ** 2 - 1) / 2
+        numbers = length / (RULES.smooth * self.edge.size)
+        runs = _cheapest(fits, numbers * price, np.log(len(offset)) + price[:, 0] / 2)
+        several = {x.tobytes(): x for x in runs if np.mean(x) <= 1 - RULES.small}
+        none = np.zeros(len(offset), bool)
+        return list({none.tobytes(): none, **several}.values()) if several else []
+
+
+def _widened(gross: np.ndarray, by: int) -> np.ndarray:
+    """Runs (N,) round a closed curve, this much longer at both ends."""
+    return np.any([np.roll(gross, k) for k in range(-by, by + 1)], axis=0)
 
 
 def _is_hidden(edge: Edge, hides: np.ndarray, points: np.ndarray, away: np.ndarray) -> np.ndarray:
@@ -147,53 +221,6 @@ def _price(px: float, runs: float, size: float, precision: float) -> float:
     """The cost of describing smooth curves of this length (px) in all to a precision (px)."""
     numbers = runs + px / (RULES.smooth * size)
     return float(numbers * max(np.log(RULES.gross * size / precision), 0.0))
-
-
-@dataclass(frozen=True, eq=False)
-class _Segmentation:
-    log: float
-    errors: ErrorFit
-    gross: np.ndarray
-
-
-def _explained(
-    edge: Edge,
-    blocks: Blocks,
-    offset: np.ndarray,
-    by_move: np.ndarray,
-    quantisation: float,
-    roughly: bool,
-) -> _Segmentation | None:
-    """The likeliest runs of gross errors among offsets; None if nearly all are."""
-    at, ends = blocks.mean(edge.at), float(np.log(len(blocks.length)))
-
-    def weighed(gross: np.ndarray, roughly: bool) -> _Segmentation:
-        fine = ~gross
-        offsets = Offsets(at[fine], blocks.length[fine], offset[fine], by_move[fine])
-        errors = weigh(offsets, quantisation, roughly)
-        # As dense as what lies about a smooth curve within a pixel.
-        log = errors.log - np.sum(gross) / 2
-        runs = np.count_nonzero(gross != np.roll(gross, 1)) / 2
-        log -= 2 * ends * runs + _price(np.sum(blocks.length[gross]), runs, edge.size, 1.0)
-        return _Segmentation(float(log), errors, gross)
-
-    size = np.hypot(RULES.sizes, quantisation**0.5)[:, None]
-    price = np.log(np.maximum(RULES.gross * edge.size / size, 1.5))
-    share = np.clip(blocks.length / (2 * RULES.lengths[0]), 0, 1)
-    fits = share * ((offset / size) ** 2 - 1) / 2
-    numbers = blocks.length / (RULES.smooth * edge.size)
-    runs = _cheapest(fits, numbers * price, ends + price[:, 0] / 2)
-    several = {x.tobytes(): x for x in runs if np.mean(x) <= 1 - RULES.small}
-    if not several:
-        return None
-    none = np.zeros(len(at), bool)
-    some = list({none.tobytes(): none, **several}.values())
-    if len(some) == 1 and not roughly:
-        return weighed(some[0], False)
-    likeliest = sorted((weighed(x, True) for x in some), key=lambda x: -x.log)
-    if roughly:
-        return likeliest[0]
-    return max((weighed(x.gross, False) for x in likeliest[:2]), key=lambda x: x.log)
 
 
 def _cheapest(zero: np.ndarray, one: np.ndarray, change: np.ndarray) -> np.ndarray:

@@ -21,7 +21,7 @@ from .._solver.looks import View
 from .._solver.problem import FINE_PX
 from .._solver.solver import Solution, Solver, onward
 from .edge import Edge, edge_of, outline_seen
-from .likelihood import Account, account, believed
+from .likelihood import Account, Likelihood, believed
 from .places import Free
 
 #: Steps by generalised least squares at most, and those before which no camera is given up; a step
@@ -63,14 +63,20 @@ class Refiner:
 
     solver: Solver
     mask: Mask
-    edge: Edge
+    likelihood: Likelihood
     outlier_px: float
     plainly: bool
 
     @classmethod
     def on(cls, solver: Solver, mask: Mask, outlier_px: float, plainly: bool) -> "Refiner":
         """The refiner on a mask's edge; `plainly`: by least squares alone."""
-        return cls(solver, mask, edge_of(mask), outlier_px, plainly)
+        noise = quantisation(solver.kind.variance, mask.usual_weight)
+        return cls(solver, mask, Likelihood(edge_of(mask), noise), outlier_px, plainly)
+
+    @property
+    def edge(self) -> Edge:
+        """The mask's edge."""
+        return self.likelihood.edge
 
     def candidates(
         self, cameras: Iterable[Solution], start: Camera | None = None, best: float | None = None
@@ -165,9 +171,8 @@ class Refiner:
 
     def account(self, camera: Camera, roughly: bool = False) -> Account | None:
         """The account of the mask's edge by a camera."""
-        noise = quantisation(self.solver.kind.variance, self.mask.usual_weight)
         outline = outline_seen(self.solver, camera, self.solver.finest)
-        said = account(self.edge, outline, noise, roughly)
+        said = self.likelihood.account(outline, roughly)
         if said is None or self.solver.prior is None:
             return said
         return said.knowing(*self.solver.known(camera))
