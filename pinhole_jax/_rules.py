@@ -152,7 +152,7 @@ class Rules:
 
     @property
     def turns(self) -> int:
-        """How many turns that look alike are tried."""
+        """How many turns that look alike, and how many likely cameras, are tried."""
         return 3 * self.followed
 
     @property

@@ -11,9 +11,10 @@ from scipy.spatial.transform import Rotation
 import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._mask.mask import Mask
-from pinhole_jax._outline.outline_errors import Offsets, is_drawn, outline_errors, weigh
+from pinhole_jax._outline.outline_errors import ErrorModel, is_drawn, outline_errors
 from pinhole_jax._outline.statistics import mask_errors
 from pinhole_jax._outline.stretches import stretches_of
+from pinhole_jax._rules import RULES
 from pinhole_jax._solver.moves import canonical
 from pinhole_jax._solver.solver import Solver
 from pinhole_jax._solver.subject import Subject
@@ -202,8 +203,22 @@ def test_ellipsoids_hold_for_errors_of_a_circle_that_are_rough_or_smooth(power, 
     by_move = np.column_stack([f(k * turn) for k in (1, 2) for f in (np.cos, np.sin)])
     distance = np.linalg.norm(at[:, None] - at, axis=-1)
     root = np.linalg.cholesky(np.exp(-((distance / length) ** power)) + 1e-6 * np.eye(60))
+    model = ErrorModel(at, 1e-3 / 4.2, RULES.lengths, RULES.shapes)
     random, held = np.random.default_rng(0), []
     for _ in range(40):
-        fit = weigh(Offsets(at, np.full(60, 4.2), root @ random.normal(size=60), by_move), 1e-3)
+        fit = model.fit(root @ random.normal(size=60), by_move)
         held.append(fit.move @ np.linalg.solve(fit.covariance, fit.move) < 9.49)  # (95 % of four)
     assert np.mean(held) > 0.85
+
+
+def test_evidence_without_gross_offsets_equals_that_of_the_others():
+    """(The oracle: a model of the others' places alone.)"""
+    random = np.random.default_rng(0)
+    at = np.concatenate([np.zeros((20, 2)), random.normal(size=(20, 2))]) * 9
+    gross, offset = np.arange(40) < 20, random.normal(size=40)
+    by_move = random.normal(size=(40, 3)) * ~gross[:, None]
+    shapes = [(1.0, 0.2, 0.0), (2.0, 0.0, 0.0)]
+    whole = ErrorModel(at, 0.1, (6.0, 40.0), shapes).evidence(offset, by_move, gross)
+    some = ErrorModel(at[20:], 0.1, (6.0, 40.0), shapes).evidence(offset[20:], by_move[20:])
+    for a, b in zip(whole, some, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-9)

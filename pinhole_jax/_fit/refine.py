@@ -81,11 +81,14 @@ class Refiner:
     def candidates(
         self, cameras: Iterable[Solution], start: Camera | None = None, best: float | None = None
     ) -> list[Candidate]:
-        """The candidates that cameras become, but for those that others rule out: the first ones,
-        or where these are proposals beside a `best` likelihood (its logarithm) the likeliest."""
+        """The candidates that the likeliest cameras become, but for those that others rule out: the
+        first ones, or where these are proposals beside a `best` likelihood (its logarithm) the
+        likeliest."""
         begun = [(found, self.account(found.camera, roughly=True)) for found in cameras]
-        if best is not None:
-            begun.sort(key=lambda pair: -np.inf if pair[1] is None else -pair[1].log)
+        order = sorted(begun, key=lambda pair: -np.inf if pair[1] is None else -pair[1].log)
+        likely = {id(found) for found, _ in order[: RULES.turns]}
+        begun = order if best is not None else begun
+        begun = [pair for pair in begun if id(pair[0]) in likely]
         done: list[Candidate] = []
         for found, said in begun:
             log = max((c.log for c in done), default=-np.inf if best is None else best)
@@ -126,6 +129,8 @@ class Refiner:
             for camera in [begin] if start is None else [begin, start]:
                 if not near.look(camera, near.finest).squares >= found.view.squares:
                     found, said = self._least_squares(near, found._replace(camera=camera))
+            near = self._near(1.0, said)  # (What is believed may have changed.)
+            found, said = self._least_squares(near, found)
         some = said is not None and np.any(said.gross)
         wide = self._near(RULES.times, said) if some else self.solver
         whole = self.solver.look(found.camera, self.solver.finest)
