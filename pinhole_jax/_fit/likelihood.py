@@ -28,45 +28,41 @@ class Account:
     """What a mask's edge is to a camera.
 
     - `log`: the logarithm of its likelihood, up to a constant of the mask.
-    - `size`, `length`: how the edge errs where it is believed (px).
+    - `errors`: how the edge errs where it is believed. Its `move` goes where the camera is
+      likelier; that is a `shift` of the outline by as much as this (px).
     - `gross` (n,): which points of the edge are not believed; `inside` (n,): which lie inside the
       outline, where something may hide the rest.
     - `missing`: which share of the outline has no edge beside it, and nothing hides it; `covered`:
       which share something hides.
-    - `move` (n,): where the camera is likelier, in the solver's units; that is a `shift` of the
-      outline by as much as this (px).
-    - `covariance` (n, n): of the camera, in the solver's units.
     """
 
     log: float
-    size: float
-    length: float
+    errors: ErrorFit
     gross: np.ndarray
     inside: np.ndarray
     missing: float
     covered: float
-    move: np.ndarray
     shift: float
-    covariance: np.ndarray
 
     def knowing(self, off: np.ndarray, by_move: np.ndarray) -> "Account":
         """The account with a prior: how many standard deviations parameters are off (k,), and by
         the moves (k, n)."""
-        precise = np.linalg.pinv(self.covariance)
+        precise = np.linalg.pinv(self.errors.covariance)
         covariance = np.linalg.inv(precise + by_move.T @ by_move)
-        move = covariance @ (precise @ self.move - by_move.T @ off)
-        log = self.log - float(off @ off) / 2
-        return replace(self, log=log, move=move, covariance=covariance)
+        move = covariance @ (precise @ self.errors.move - by_move.T @ off)
+        errors = self.errors._replace(move=move, covariance=covariance)
+        return replace(self, log=self.log - float(off @ off) / 2, errors=errors)
 
     @property
     def far(self) -> float:
         """How many standard errors the `move` is."""
-        return float(self.move @ np.linalg.pinv(self.covariance) @ self.move) ** 0.5
+        move, covariance = self.errors.move, self.errors.covariance
+        return float(move @ np.linalg.pinv(covariance) @ move) ** 0.5
 
     @property
     def is_drawn(self) -> bool:
         """Whether the mask's edge errs by more than quantisation."""
-        return self.size > 0
+        return self.errors.size > 0
 
     def unbelieved(self, edge: Edge) -> float:
         """The share of a mask's edge that is not believed."""
@@ -111,7 +107,7 @@ class Likelihood:
         self._rounding = max(quantisation, EXACT_PX**2)
 
     @cached_property
-    def _at(self) -> np.ndarray:
+    def _middles(self) -> np.ndarray:
         return self._blocks.mean(self.edge.at)
 
     @cached_property
@@ -124,7 +120,7 @@ class Likelihood:
 
     def _model(self, lengths: Any, shapes: Any) -> ErrorModel:
         variance = self._rounding / float(np.mean(self._blocks.length))
-        return ErrorModel(self._at, variance, lengths, shapes)
+        return ErrorModel(self._middles, variance, lengths, shapes)
 
     def account(self, outline: OutlinePoints | None, roughly: bool = False) -> Account | None:
         """The account by a camera that sees an outline; None where there is none. `roughly`: with
@@ -149,18 +145,8 @@ class Likelihood:
         price = _price(px, min(px / 3, 1.0), edge.size, max(errors.size, 0.3))
         covered = float(whole - missing)
         price += covered / RULES.small  # (how much an occluder hides: exponential)
-        return Account(
-            log=found.log - price,
-            size=errors.size,
-            length=errors.length,
-            gross=gross,
-            inside=inside,
-            missing=missing,
-            covered=covered,
-            move=errors.move,
-            shift=float(np.max(np.abs(pairs.by_move @ errors.move))),
-            covariance=errors.covariance,
-        )
+        shift = float(np.max(np.abs(pairs.by_move @ errors.move)))
+        return Account(found.log - price, errors, gross, inside, missing, covered, shift)
 
     def _explained(
         self, offset: np.ndarray, by_move: np.ndarray, roughly: bool

@@ -123,7 +123,7 @@ class Refiner:
         near, covariance = self._near(1.0, said), None
         if said is not None and said.is_drawn and found.ended and not self.plainly:
             found = found._replace(view=near.look(found.camera, near.finest))
-            covariance = said.covariance
+            covariance = said.errors.covariance
         else:
             found, said = self._least_squares(near, found)
             for camera in [begin] if start is None else [begin, start]:
@@ -145,7 +145,7 @@ class Refiner:
         camera, now, share, solver = begin.camera, said, 1.0, self.solver
         for n in range(min(STEPS, solver.max_steps)):
             part = min(share, RULES.smooth * self.edge.size / max(now.shift, 1e-9))
-            camera = solver.step(camera, solver.finest, part * now.move)
+            camera = solver.step(camera, solver.finest, part * now.errors.move)
             after = self.account(camera)
             if after is None or after.log < said.log - RULES.times**2 / 2:
                 break
@@ -170,7 +170,7 @@ class Refiner:
         gross = np.zeros(len(self.edge.at), bool)
         if said is not None:
             gross = said.gross
-            reach = np.clip(RULES.within * said.size / self.outlier_px, reach, RULES.times)
+            reach = np.clip(RULES.within * said.errors.size / self.outlier_px, reach, RULES.times)
         weights = believed(self.mask.near_edge(float(reach) * self.outlier_px), self.edge, gross)
         return self.solver.weighed(weights, only_finest=True)
 
@@ -215,7 +215,7 @@ class Refiner:
         if said is None:
             return False
         astray = max(said.hidden(self.edge, RULES.small), said.missing)
-        return astray > RULES.little or said.size > self.outlier_px
+        return astray > RULES.little or said.errors.size > self.outlier_px
 
 
 def likeliest(candidates: Sequence[Candidate], alike: int, start: Camera | None) -> list[Candidate]:

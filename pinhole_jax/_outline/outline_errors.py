@@ -135,9 +135,9 @@ def _felt(offset: np.ndarray, share: np.ndarray) -> tuple[float, np.ndarray]:
 
 
 class Evidence(NamedTuple):
-    """By hypotheses (h,): the logarithms of their likelihoods, the camera's `move` (h, n) by
-    generalised least squares, damped where it hardly shows, the `bias` (h,) of all offsets, and the
-    camera's `covariance` (h, n, n)."""
+    """By hypotheses (h,): the likelihoods' logarithms, the camera's `move` (h, n) by generalised
+    least squares, the `bias` (h,) of all offsets, and the camera's `covariance` (h, n, n). Moves
+    are damped where they hardly show."""
 
     log: np.ndarray
     move: np.ndarray
@@ -146,13 +146,12 @@ class Evidence(NamedTuple):
 
 
 class ErrorFit(NamedTuple):
-    """A likelihood's logarithm; the errors' size and length at the likeliest hypothesis, and by how
-    much all of the edge is off there (`bias`). Of all hypotheses, each as likely as it is: the
-    likeliest `move` (n,), and the camera's `covariance` (n, n) about it."""
+    """A likelihood's logarithm; the errors' size (px) at the likeliest hypothesis, and by how much
+    all of the edge is off there (`bias`). Of all hypotheses, each as likely as it is: the likeliest
+    `move` (n,), and the camera's `covariance` (n, n) about it."""
 
     log: float
     size: float
-    length: float
     bias: float
     move: np.ndarray
     covariance: np.ndarray
@@ -234,7 +233,7 @@ class ErrorModel:
         weighed = self._precision @ columns
         products, determinant = columns.T @ weighed, self._determinant
         if gross is not None and np.any(gross):
-            # Of what is left, by Schur's complement.
+            # Of the others, by Schur's complement.
             some = self._precision[:, gross][:, :, gross]
             part = weighed[:, gross]
             products = products - np.swapaxes(part, 1, 2) @ np.linalg.solve(some, part)
@@ -257,7 +256,6 @@ class ErrorModel:
         return ErrorFit(
             log=float(total),
             size=float(self.size[likeliest]),
-            length=float(self.length[likeliest]),
             bias=float(found.bias[likeliest]),
             move=move,
             covariance=np.tensordot(share, found.covariance, axes=1) + (share * apart.T) @ apart,

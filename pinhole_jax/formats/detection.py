@@ -137,7 +137,7 @@ class Reading(NamedTuple):
 
 
 def _hypothesis(scene: Scene, target: np.ndarray, group: list[Reading]) -> Hypothesis:
-    """Return what readings of the same camera say."""
+    """Return the answers of readings of the same camera."""
     _, place, view = group[0]
     camera = camera_from_pinhole(view, place, OPENCV, Fields({}, "the arguments"))
     # With a lens, needed or not: then one compiled program serves all.
