@@ -111,7 +111,7 @@ def test_row_of_numbers_is_a_matrix_in_json(tmp_path):
         (
             "few.json",
             json.dumps({"K": [1.0, 2.0]}),
-            "`K`: expected 3 x 3 numbers, .* got 2 numbers",
+            r"`K`: expected .*, or fx, fy, cx, cy, got \[1.0, 2.0\]",
         ),
         ("none.json", json.dumps({"fx": 300, "cx": 1, "cy": 1}), "got no fy"),
         ("shots.json", json.dumps({"shots": {}}), "OpenSfM"),

@@ -20,10 +20,10 @@ from .cameras import KIND, Cameras, chosen, parse_xml
 from .colmap import read_colmap, write_colmap
 from .gltf import read_gltf, write_gltf
 from .mitsuba import read_mitsuba, write_mitsuba
-from .native import CAMERA_SCHEMA, CAMERAS_SCHEMA, read_json, write_json
+from .native import read_json, write_json
 from .nerf import read_nerf, write_nerf
 from .opencv import read_opencv, write_opencv
-from .pytorch3d import SCHEMA as PYTORCH3D_SCHEMA, read_pytorch3d, write_pytorch3d
+from .pytorch3d import read_pytorch3d, write_pytorch3d
 from .unknown import unknown
 
 
@@ -52,13 +52,7 @@ FORMATS = {
 }
 ENDINGS = {ending: name for name, format in FORMATS.items() for ending in format.endings}
 COLMAP_FILES = ("cameras.txt", "images.txt", "cameras.bin", "images.bin")
-#: Schemas or fields of JSON that identify a format; the first that are all there.
-SCHEMAS = {
-    BLENDER_SCHEMA: "blender",
-    PYTORCH3D_SCHEMA: "pytorch3d",
-    CAMERA_SCHEMA: "json",
-    CAMERAS_SCHEMA: "json",
-}
+#: Fields of JSON that identify a format; the first that are all there.
 FIELDS = {
     "matrix_world": "blender",
     "R T in_ndc": "pytorch3d",
@@ -154,8 +148,8 @@ def _json_format(path: Path) -> str:
     """Return the format of a JSON file, by its fields."""
     data = load_json(path, KIND)
     names = {*data} if isinstance(data, dict) else set()
-    if names and (format := SCHEMAS.get(str(data.get("schema")))):
-        return format
+    if names and data.get("schema") == BLENDER_SCHEMA:
+        return "blender"
     for fields, format in FIELDS.items():
         if names.issuperset(fields.split()):
             return format

@@ -16,7 +16,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from .._camera.camera import Camera
-from .._camera.poses import Pose, rigid
+from .._camera.poses import Pose, pose_of
 from .._files.fields import Fields, Size, number_or_text, short
 from .._files.paths import FilePath, read_text
 from .cameras import KIND, Cameras, by_name, check_cameras, parse_xml, save_text
@@ -221,11 +221,11 @@ def _step(kind: str, fields: Fields) -> Pose:
         result[:n, :n] = fields.array("value", (n * n,)).reshape(n, n)
     elif kind in ("lookat", "look_at"):
         origin, target, up = (fields.array(name, (3,)) for name in ("origin", "target", "up"))
-        forward, left = target - origin, np.cross(up, target - origin)
-        if not np.any(forward) or np.linalg.norm(left) < 1e-12 * np.linalg.norm(forward):
-            raise fields.wrong("up", "another direction than the view's", up)
-        axes = np.stack([left, np.cross(forward, left), forward], axis=1)
-        result = rigid(axes / np.linalg.norm(axes, axis=0), origin)
+        try:
+            looking = Camera(origin, target, up, 1.0, 1.0, 1, 1)
+        except ValueError:
+            raise fields.wrong("up", "another direction than the view's", up) from None
+        result = pose_of(looking) @ LEFT_UP_FORWARD
     elif kind == "rotate":
         axis = _xyz(fields, 0)
         if not np.any(axis):

@@ -137,13 +137,12 @@ def read_matrix(fields: Fields, name: str, W: int, H: int, half: float) -> Pinho
     """Return the intrinsics of a field's K (3, 3), or fx, fy, cx, cy, whose pixel centres are at
     integers (`half` is 0.5) or at halves (0)."""
     K = np.ravel(fields.array(name, fields.shape(name), "finite numbers of shape (3, 3)"))
-    if len(K) == 4:
-        K = np.array([K[0], 0, K[2], 0, K[1], K[3], 0, 0, 1])
-    if len(K) != 9:
-        raise fields.wrong(name, "3 x 3 numbers, or fx, fy, cx, cy", f"{len(K)} numbers")
-    if np.any(K[6:] != [0, 0, 1]) or K[3] != 0 or abs(K[1]) > 1e-9 * abs(K[0]):
-        raise fields.wrong(name, "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]", K)
-    return Pinhole(K[0], K[4], K[2] + half, K[5] + half, W, H)
+    if len(K) == 9 and [K[3], *K[6:]] == [0, 0, 0, 1] and abs(K[1]) <= 1e-9 * abs(K[0]):
+        K = K[[0, 4, 2, 5]]
+    if len(K) != 4:
+        raise fields.wrong(name, "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]], or fx, fy, cx, cy", K)
+    fx, fy, cx, cy = K
+    return Pinhole(fx, fy, cx + half, cy + half, W, H)
 
 
 def camera_from_pinhole(

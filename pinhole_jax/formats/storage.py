@@ -2,13 +2,14 @@
 
 import re
 import xml.etree.ElementTree as ET
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
-from .._files.fields import Fields, short
+from .._files.fields import Fields, as_numbers, short
 from .._files.paths import MOST_DEPTH, FilePath, first_repeat, is_deep, parse_json, read_text
 from .cameras import KIND, parse_xml
 
@@ -110,17 +111,12 @@ def matrix_array(name: str, value: Any, where: str) -> Any:
     """Return the array of a matrix (rows, cols, dt, data), float64; another value as it is."""
     if not isinstance(value, dict) or "data" not in value:
         return value
-    fields = Fields({name: value["data"]}, where)
-    expected = "an OpenCV matrix (rows, cols, dt, data)"
-    kind = str(value.get("dt", "d"))
-    if len(kind) != 1:
-        raise fields.wrong(name, f"{expected} with one channel", f"dt {kind[:9]!r}")
-    numbers = np.ravel(fields.array(name, fields.shape(name), "finite numbers of a matrix"))
+    numbers = as_numbers(value["data"])
     size = value.get("sizes", [value.get("rows"), value.get("cols")])
-    try:
-        array = numbers.reshape(size)
-    except (TypeError, ValueError):
-        array = numbers
-    if list(array.shape) != size:
-        raise fields.wrong(name, f"{expected} of the size {short(size)}", f"{len(numbers)} numbers")
-    return array
+    with suppress(AttributeError, TypeError, ValueError):  # no numbers, no size, or another one
+        array = numbers.reshape(size)  # pyright: ignore[reportOptionalMemberAccess]
+        is_plain = len(str(value.get("dt", "d"))) == 1 and list(array.shape) == size
+        if is_plain and np.all(np.isfinite(array)):
+            return array
+    words = "an OpenCV matrix (rows, cols, dt, data): rows x cols finite numbers in one channel"
+    raise Fields({}, where).wrong(name, words, value)
