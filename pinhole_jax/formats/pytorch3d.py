@@ -12,7 +12,7 @@ import numpy as np
 
 from .._camera.camera import Camera
 from .._camera.poses import inverse
-from .._files.fields import Fields, Size, read_fields
+from .._files.fields import Fields, Size, as_numbers, read_fields
 from .._files.paths import FilePath
 from .._numerics.arrays import ArrayLike, Input
 from .cameras import KIND, Cameras, by_name, check_cameras, save_json
@@ -92,10 +92,9 @@ def from_pytorch3d(
     }
     if (fov is None) == (focal_length is None):
         raise ValueError("expected `focal_length` or `fov`, got both or neither")
-    batch = Fields({name: x for name, x in given.items() if x is not None}, "the arguments")
-    is_batch = lambda name: name in SHAPES and batch.shape(name) == (1, *SHAPES[name])
-    fields = {name: x[0] if is_batch(name) else x for name, x in batch.data.items()}
-    return _camera(Fields(fields, batch.where), in_ndc)
+    arrays = {name: (x, as_numbers(x)) for name, x in given.items() if x is not None}
+    fields = {name: x if a is None else np.squeeze(a) for name, (x, a) in arrays.items()}
+    return _camera(Fields(fields, "the arguments"), in_ndc)
 
 
 def _camera(fields: Fields, in_ndc: bool, size: Size | None = None) -> Camera:

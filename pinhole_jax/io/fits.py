@@ -26,6 +26,9 @@ from ..formats.native import (
 from ..formats.object_pose import object_pose
 
 FIT_SCHEMA = "pinhole_jax.fit/1"
+#: Fields of a fit that a file has under their names.
+AS_THEY_ARE = ("status", "iou", "rms", "names", "covariance", "independent_covariance",
+               "mask_error", "unbelieved", "weak")  # fmt: skip
 #: What a file says of its covariances.
 CAMERA_FRAME = (
     "small turns (rad) of the camera about its own axes right, up, forward (rotation_b1, _b2, _v);"
@@ -109,20 +112,12 @@ def _rest(fit: Fit, pixel_centres: Any) -> dict[str, Any]:
     std = _plain(np.where(np.isfinite(fit.std), fit.std, np.nan))
     return {
         "schema": FIT_SCHEMA,
-        "status": fit.status,
-        "iou": _plain(fit.iou),
-        "rms": _plain(fit.rms),
         "dtype": np.dtype(fit.camera.e.dtype).name,
+        **{name: _plain(getattr(fit, name)) for name in AS_THEY_ARE},
         "std": dict(zip(fit.names, std, strict=True)),
-        "names": list(fit.names),
         "covariance_frame": CAMERA_FRAME,
-        "covariance": _plain(fit.covariance),
-        "independent_covariance": _plain(fit.independent_covariance),
-        "mask_error": None if fit.mask_error is None else fit.mask_error._asdict(),
-        "unbelieved": _plain(fit.unbelieved),
         "object_in_camera": _pose(fit, pixel_centres),
         "steps": [int(count) for count in fit.steps],
-        "weak": list(fit.weak),
         "modes": [fit_to_dict(mode, pixel_centres=pixel_centres) for mode in fit.modes],
         "history": [
             {**step._asdict(), "camera": camera_to_dict(step.camera)} for step in fit.history
@@ -144,13 +139,18 @@ def _pose(fit: Fit, pixel_centres: Any) -> dict[str, Any] | None:
     }
 
 
-def _plain(numbers: Any) -> Any:
-    """Return a number or an array as JSON has it: lists, and texts for what is not finite."""
-    if numbers is None or np.ndim(numbers):
-        return None if numbers is None else [_plain(part) for part in numbers]
-    if np.isnan(numbers):
+def _plain(value: Any) -> Any:
+    """Return a number, a text, an array or a record as JSON has it, with words for what is not
+    finite."""
+    if value is None or isinstance(value, str):
+        return value
+    if isinstance(value, MaskError):
+        return value._asdict()
+    if np.ndim(value):
+        return [_plain(part) for part in value]
+    if np.isnan(value):
         return None
-    return float(numbers) if np.isfinite(numbers) else "Infinity" if numbers > 0 else "-Infinity"
+    return float(value) if np.isfinite(value) else "Infinity" if value > 0 else "-Infinity"
 
 
 def _fit(fields: Fields) -> Fit:
