@@ -1,8 +1,8 @@
 """Polygons of any number of corners, in any plane of space, cut into triangles.
 
 A fan from the first corner is right only where that corner sees all others. A polygon is therefore
-projected along the axis that is nearest to its Newell normal, the sum of its fan's area vectors,
-and cut there: as a fan where that is right, else by manifold3d. Its triangles meet edge to edge,
+seen along its Newell normal, the sum of its fan's area vectors, and cut there: as a fan where that
+is right, else by manifold3d. Its triangles meet edge to edge,
 also at corners in line, so that a closed mesh stays closed. A triangle runs the way its polygon
 runs.
 
@@ -88,8 +88,8 @@ def triangulate(polygons: Polygons) -> Int[np.ndarray, "T 3"]:
         alike = np.flatnonzero(counts == count)
         shared = corners[starts[alike, None] + np.arange(count)]
         local = np.tile(_fan(count), (len(alike), 1, 1))
-        flat, rounding = _projected(points[shared])
-        wrong = np.flatnonzero(~_fans_are_right(flat)) if count > 3 else []
+        space = points[shared]
+        wrong = np.flatnonzero(~_fans_are_right(space)) if count > 3 else []
         left -= len(wrong) * count**2
         for k in wrong:
             if left < 0:
@@ -97,7 +97,7 @@ def triangulate(polygons: Polygons) -> Int[np.ndarray, "T 3"]:
                     f"face {alike[k] + 1}: {count} corners, not all seen from the first; that many"
                     " take more than seconds to cut"
                 )
-            local[k] = _cut(flat[k], rounding[k], int(alike[k]) + 1)
+            local[k] = _cut(space[k], int(alike[k]) + 1)
         triangles.append(np.take_along_axis(shared[:, None], local, axis=2).reshape(-1, 3))
         owners.append(np.repeat(alike, count - 2))
 
@@ -125,55 +125,42 @@ def _fan(n: int) -> np.ndarray:
     return np.stack([np.zeros(n - 2, int), np.arange(1, n - 1), np.arange(2, n)], axis=-1)
 
 
-def _projected(space: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (m, n, 2) corners from the first one on, counter-clockwise and of size 1, and the
-    largest rounding error of these, in machine epsilons; NaN for corners without a normal.
-    """
+def _from_first(space: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return corners (m, n, 3) from the first one on, of size 1, and twice the areas (m, n - 2, 3)
+    of their fans' triangles."""
     arms = space - space[:, :1]
-    size = np.max(np.abs(arms), axis=(1, 2))
-    size = np.where(size > 0, size, 1.0)
-    arms = arms / size[:, None, None]
-    areas = np.cross(arms[:, 1:-1], arms[:, 2:])
-    normal = np.sum(areas, axis=1)
-    # The two lobes of an evenly crossed polygon cancel.
-    crossed = np.abs(normal).max(axis=1) <= 1e-12 * np.abs(areas).max(axis=(1, 2))
-    axis = np.argmax(np.abs(normal), axis=1)
-    others = (axis[:, None] + [1, 2]) % 3
-    down = np.take_along_axis(normal, axis[:, None], axis=1) < 0
-    flat = np.take_along_axis(arms, np.where(down, others[:, ::-1], others)[:, None], axis=2)
-    far = 4 * np.max(np.abs(space), axis=(1, 2)) / size
-    return flat, np.where(crossed & np.any(areas, axis=(1, 2)), np.nan, far)
+    size = np.max(np.abs(arms), axis=(1, 2), keepdims=True)
+    arms = arms / np.where(size > 0, size, 1)
+    return arms, np.cross(arms[:, 1:-1], arms[:, 2:])
 
 
-def _fans_are_right(flat: np.ndarray) -> np.ndarray:
+def _fans_are_right(space: np.ndarray) -> np.ndarray:
     """Return True (m,) for fans from the first corners that turn one way, at most once around."""
-    cross = _cross(flat[:, 1:-1], flat[:, 2:])
-    dot = np.sum(flat[:, 1:-1] * flat[:, 2:], axis=-1)
+    arms, areas = _from_first(space)
+    normal = np.sum(areas, axis=1, keepdims=True)
+    length = np.linalg.norm(normal, axis=-1, keepdims=True)
+    cross = np.sum(areas * (normal / np.where(length > 0, length, 1)), axis=-1)
+    dot = np.sum(arms[:, 1:-1] * arms[:, 2:], axis=-1)
     # Corners in line as seen from the first are no harm; a turn by half a circle is no fan's.
     ahead = (cross > 1e-15) | ((np.abs(cross) <= 1e-15) & (dot > 0))
     around = np.sum(np.arctan2(cross, dot), axis=-1)
     return np.all(ahead, axis=-1) & (around <= 2 * np.pi + 1e-9)
 
 
-def _cut(flat: np.ndarray, rounding: float, number: int) -> np.ndarray:
-    """Return the triangles (n - 2, 3) of one polygon (n, 2) as corners 0 to n - 1."""
+def _cut(space: np.ndarray, number: int) -> np.ndarray:
+    """Return the triangles (n - 2, 3) of one polygon (n, 3) as corners 0 to n - 1."""
     import manifold3d
 
+    (arms,), (areas,) = _from_first(space[None])
+    normal = np.sum(areas, axis=0)
+    axis = np.argmax(np.abs(normal))
+    flat = arms[:, [axis - 2, axis - 1] if normal[axis] > 0 else [axis - 1, axis - 2]]
     triangles = np.asarray(manifold3d.triangulate([flat]), int)
-    own = np.sum(_areas(flat, _fan(len(flat))))
-    excess = np.sum(np.abs(_areas(flat, triangles))) - own
+    cut = flat[triangles]
+    excess = np.sum(np.abs(np.linalg.det(cut[:, 1:] - cut[:, :1]))) - abs(normal[axis])
     sides = np.sum(np.linalg.norm(flat - np.roll(flat, 1, axis=0), axis=-1))
-    if not abs(excess) <= (EXACT + rounding * np.finfo(np.float32).eps) * sides:
+    far = 4 * np.max(np.abs(space)) / (np.max(np.abs(space - space[0])) or 1)
+    lobes_cancel = np.any(areas) and abs(normal[axis]) <= 1e-12 * np.max(np.abs(areas))
+    if lobes_cancel or abs(excess) > (EXACT + far * np.finfo(np.float32).eps) * sides:
         raise ValueError(f"face {number}: its sides cross, so that it has no inside")
     return triangles
-
-
-def _areas(flat: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Return twice the triangles' areas, positive where they run counter-clockwise."""
-    a, b, c = np.moveaxis(flat[triangles], 1, 0)
-    return _cross(b - a, c - a)
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the cross products of vectors (..., 2)."""
-    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
