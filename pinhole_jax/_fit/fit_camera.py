@@ -18,7 +18,7 @@ from .._mask.kinds import Kind
 from .._mask.mask import Mask
 from .._mask.target import MOST_BORDER, border_of, check_target, inside_of, levelled
 from .._numerics.arrays import ArrayLike, Input, float_dtype, is_concrete
-from .._outline.outline_errors import OutlineErrors, is_drawn
+from .._outline.outline_errors import OutlineErrors, is_computed, is_drawn
 from .._outline.statistics import is_explained, mask_errors
 from .._rules import RULES
 from .._scene.scene import Scene, check_scene
@@ -241,7 +241,8 @@ def _fit(
     else:
         places = from_start(solver, mask, start, on_stop)
     say("last level: looking for other views that fit")
-    if reach is None or places.best.view.touched_misfit <= RULES.exact * mask.usual_weight:
+    exact = places.best.view.touched_misfit <= RULES.exact * mask.usual_weight
+    if reach is None or (exact and is_computed(mask_errors(solver, places.best.view))):
         ended = to_the_end(solver, [places.best, *places.others])
         modes = [_Mode(f, f.view.sums, mask_errors(solver, f.view)) for f in ended]
         free, near, edge = free_about(solver, ended[0], places), solver, None
@@ -259,9 +260,10 @@ def _fit(
             found += behind_something(refiner, best, start)
             kept = likeliest(found, 0, start)
 
-        # Of a drawn mask the likeliest is not where descents on pixels ended: look round it again.
+        # Of a drawn mask the likeliest is not where descents on pixels end: begin again, and look
+        # round it.
         if kept[0].covariance is not None:
-            again = lookalikes(solver, kept[0].found.camera)
+            again = [*([] if start is None else [start]), *lookalikes(solver, kept[0].found.camera)]
             found += refiner.proposals(again, kept[0].log)
             kept = likeliest(found, 0, start)
 

@@ -14,7 +14,7 @@ import numpy as np
 from .._camera.axes import angle, distinct
 from .._camera.camera import Camera
 from .._mask.mask import Mask
-from .._outline.outline_errors import OutlineErrors, is_drawn
+from .._outline.outline_errors import OutlineErrors, is_computed, is_drawn
 from .._outline.statistics import mask_errors, quantisation
 from .._rules import RULES
 from .._solver.looks import View
@@ -133,6 +133,9 @@ class Refiner:
             found, said = self._least_squares(near, found)
         some = said is not None and np.any(said.gross)
         wide = self._near(RULES.times, said) if some else self.solver
+        if not (said is None or self.plainly or is_computed(mask_errors(wide, found.view))):
+            move = said.errors.move
+            covariance = said.errors.covariance + np.outer(move, move)
         whole = self.solver.look(found.camera, self.solver.finest)
         return Candidate(found, whole, said, near, wide, covariance)
 
@@ -150,7 +153,7 @@ class Refiner:
             if after is None or after.log < said.log - RULES.times**2 / 2:
                 break
             back = any(angle(camera, other) < RULES.same for other in known)
-            if (after.log < least and n >= EARLY) or (back and now.is_drawn):
+            if (after.log < least and n >= EARLY) or back:
                 return None
             if part * now.far < STILL:
                 return begin._replace(camera=camera, ended=True), after
@@ -184,10 +187,10 @@ class Refiner:
 
     def is_free(self, candidate: Candidate, free: Free, others: Sequence[Candidate]) -> bool:
         """Whether cameras far away may be as likely in a direction that squares call free: some of
-        the others, those that strides lead to, or where generalised least squares found no rest."""
+        the others, or those that strides lead to."""
         least, at = candidate.log - RULES.times**2 / 2, candidate.found.camera
         far = [c for c in others if angle(c.found.camera, at) > RULES.start]
-        if any(c.covariance is None or c.log >= least for c in far):
+        if any(c.log >= least for c in far):
             return True
         strides = np.clip([free.ahead, -free.behind], -RULES.start, RULES.start)
         return any(x != 0 and self._leads_away(candidate, x, free.move) for x in strides)

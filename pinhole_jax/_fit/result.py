@@ -302,7 +302,8 @@ def report(
         normal = triangle.T @ triangle
         both = both[0], normal @ context.covariance @ normal
     independent, cov = (covariance(triangle, to_reported, g, BLIND[dtype]) for g in both)
-    tolerance, drawn = LAST_STEP * FINE_PX[dtype] / UNIT_PX, is_drawn(context.errors)
+    tolerance = LAST_STEP * FINE_PX[dtype] / UNIT_PX
+    drawn = context.covariance is not None or is_drawn(context.errors)
     independent = independent + widened(to_reported, [] if drawn else context.free, tolerance)
     known_by = cov if drawn else np.zeros_like(cov)
     cov = cov + widened(to_reported, context.free, tolerance, known_by)

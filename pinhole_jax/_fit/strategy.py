@@ -126,14 +126,14 @@ def with_others(
         return places
     found = _one_of_each([places.best, *places.others, *places.rivals, *more], solver.freed)
     best, *others = equally_good(solver, found)
-    rivals = [f for f in found if all(f is not g for g in (best, *others))]
-    most = RULES.times * best.view.squares
-    rivals = [f for f in rivals if f.view.squares <= most][: RULES.followed]
     if best is not places.best:
         places = (
             settled(solver, best)._replace(others=[]) if free is None else Places(best, [], free)
         )
     others = [f for f in others if not _within(places, solver, f)]
+    rivals = [f for f in found if all(f is not g for g in (best, *others))]
+    most = RULES.times * best.view.squares
+    rivals = [f for f in rivals if f.view.squares <= most][: RULES.followed]
     return places._replace(others=others, rivals=tuple(rivals))
 
 

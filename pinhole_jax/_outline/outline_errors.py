@@ -62,6 +62,11 @@ def is_drawn(errors: OutlineErrors | None) -> bool:
     return errors is not None and errors.computed < 1 - RULES.sure
 
 
+def is_computed(errors: OutlineErrors | None) -> bool:
+    """True if surely a program made the mask."""
+    return errors is None or errors.computed > RULES.sure
+
+
 def outline_errors(
     view: View, target: np.ndarray, weights: Weights, quantisation: float, hard: bool
 ) -> OutlineErrors | None:
