@@ -33,7 +33,7 @@ STEPS, EARLY, STILL = 16, 2, 0.1
 class Candidate:
     """A camera that may be right: what was `found` on the pixels that count, the `whole` view, and
     the account of the mask's edge. `near` and `wide` solve on the pixels that count and on more of
-    them. `covariance` (n, n) is by moves, if generalised least squares led there."""
+    them. `covariance` (n, n) is by moves: the likelihood's, if the mask is not surely computed."""
 
     found: Solution
     whole: View

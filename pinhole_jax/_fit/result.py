@@ -288,12 +288,11 @@ def report(
     labels, to_reported = labels_of(freed), to_units(view.to_reported, freed, camera)
     n = len(labels)
     if not (np.all(np.isfinite(triangle)) and np.isfinite(sums.squares)):
-        empty = np.full((n, n), np.nan)
-        nan = float("nan")
-        known = {"names": labels, "covariance": empty, "steps": steps}
-        return Fit(camera=fitted, status="non_finite", rms=nan, iou=nan, **known)
-    rest = at_rest(triangle, along, sums.squares, sums.touched, dtype, found.ended)
-    rest = rest if context.covariance is None else found.ended
+        known = {"names": labels, "covariance": np.full((n, n), np.nan), "steps": steps}
+        return Fit(camera=fitted, status="non_finite", rms=np.nan, iou=np.nan, **known)
+    rest = found.ended
+    if context.covariance is None:
+        rest = at_rest(triangle, along, sums.squares, sums.touched, dtype, found.ended)
     triangle = without_free(triangle, context.free)
     noise = sums.touched_squares / max(sums.touched - n, 1)
     noise = max(noise if context.variance is None else context.variance, context.kind.least)
@@ -320,8 +319,7 @@ def report(
     weak += (*open_turn, *_disagreement(sums, astray, context.kind.exact and not explained))
     explained = astray <= RULES.astray and (explained or not context.kind.exact)
     status = _status(triangle, rest, whole, context.hidden, explained, bool(blind or free))
-    if status == "converged" and open_turn:
-        status = "uncertain"
+    status = "uncertain" if status == "converged" and open_turn else status
     iou, rms = iou_and_rms([over_all])
     return Fit(
         camera=fitted,
