@@ -1,4 +1,4 @@
-"""What a photo's EXIF data say of the camera: which way is up, and the field of view."""
+"""What a photo's EXIF data say of the camera's field of view."""
 
 import math
 from typing import Any, NamedTuple
@@ -17,14 +17,6 @@ class FieldOfView(NamedTuple):
 
     phi: float
     words: str
-
-
-def upright(image: Any) -> Any:
-    """Return the picture (of Pillow), now turned and mirrored as its EXIF Orientation asks for."""
-    from PIL import ImageOps
-
-    ImageOps.exif_transpose(image, in_place=True)
-    return image
 
 
 def field_of_view(image: Any) -> FieldOfView | None:

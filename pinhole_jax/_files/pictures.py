@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from .exif import upright
 from .paths import open_file, reason
 
 #: A PIL.Image.Image; Pillow is imported where a file is read.
@@ -31,7 +30,7 @@ def from_picture(path: Any, kind: str, read: Callable[[Image], Any]) -> Any:
 
     Raises FileNotFoundError, or ValueError where the file is no such image, or `read` raises it.
     """
-    from PIL import Image
+    from PIL import Image, ImageOps
 
     with open_file(path, "an image file", MOST_BYTES) as stream:
         try:
@@ -40,7 +39,7 @@ def from_picture(path: Any, kind: str, read: Callable[[Image], Any]) -> Any:
                 image = Image.open(stream, formats=FORMATS)
                 if image.format == "WEBP" and image.width * image.height > MOST_WEBP:
                     raise ValueError(f"a WebP of more than {MOST_WEBP} pixels")
-                image = upright(image)
+                ImageOps.exif_transpose(image, in_place=True)  # upright
                 image.load()
         except Exception as error:  # the readers raise whatever they meet
             words = f"a readable image ({', '.join(FORMATS)}), got {str(path)!r}"

@@ -27,11 +27,13 @@ def parse_gltf(data: bytes, path: Any) -> tuple[Fields, bytes]:
         _, version, whole, length, kind = HEAD.unpack(data[: HEAD.size].ljust(HEAD.size, b"\0"))
         start, end = HEAD.size, HEAD.size + length
         if not end <= whole <= len(data):
-            words = f"expected a whole glb of {whole} bytes, got {len(data)}: cut short"
-            raise ValueError(f"`path`: {words} (in {str(path)!r})")
-        if version != VERSION or kind != JSON_CHUNK:
-            words = f"expected JSON first in a glb of version {VERSION}, got other data"
-            raise ValueError(f"`path`: {words} (in {str(path)!r})")
+            words = f"a whole glb of {whole} bytes, got {len(data)}: cut short"
+        elif version != VERSION or kind != JSON_CHUNK:
+            words = f"JSON first in a glb of version {VERSION}, got other data"
+        else:
+            words = ""
+        if words:
+            raise ValueError(f"`path`: expected {words} (in {str(path)!r})")
     top = parse_json(decode_text(data[start:end], path), path, "glTF")
     return Fields(top, repr(str(path))), data[end + CHUNK_HEAD :]
 

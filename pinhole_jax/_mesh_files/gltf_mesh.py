@@ -7,8 +7,9 @@ compression) is refused by name.
 
 import base64
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
-from urllib.parse import unquote, urlsplit
+from urllib.parse import unquote
 
 import numpy as np
 
@@ -124,10 +125,7 @@ def _readable(part: Fields) -> Fields:
 def _resource(file: Path, uri: str, buffer: Fields) -> bytes:
     """Return the bytes of a file that a mesh file names, from its folder or below."""
     folder = file.parent.resolve()
-    try:
-        path = (folder / unquote(uri)).resolve()
-        if not urlsplit(uri).scheme and path.is_relative_to(folder) and path.is_file():
+    with suppress(OSError, RuntimeError, ValueError):  # no name of a file, a circle of links
+        if (path := (folder / unquote(uri)).resolve()).is_relative_to(folder):
             return read_bytes(path, "a buffer", MOST_BYTES)
-    except (OSError, RuntimeError, ValueError):  # no name of a file, a circle of links
-        pass
     raise buffer.wrong("uri", "a file in the mesh's folder", uri[:80])

@@ -95,9 +95,8 @@ def object_pose(fit: Fit, *, pixel_centres: Input[Centres, "of K"]) -> ObjectPos
     """
     check_fit(fit)
     K, R, t = to_opencv(fit.camera, pixel_centres=pixel_centres)
-    place = {name: k for k, name in enumerate(POSE)}
-    own = [k for k, name in enumerate(fit.names) if name in place]
-    columns = [place[fit.names[k]] for k in own]
+    own = [k for k, name in enumerate(fit.names) if name in POSE]
+    columns = [POSE.index(fit.names[k]) for k in own]
     covariance = carried(fit.covariance[np.ix_(own, own)], _derivative(R, t)[:, columns])
     std, lens = np.sqrt(np.diag(covariance)), fit.camera.lens
     return ObjectPose(K, pixel_centres, R, t, covariance, std, lens and lens.distortion)

@@ -37,6 +37,10 @@ class Pinhole(NamedTuple):
     W: int
     H: int
 
+    def matrix(self, half: float = 0.0) -> np.ndarray:
+        """Return K (3, 3), whose pixel centres are at integers (`half` is 0.5) or at halves (0)."""
+        return np.array([[self.fx, 0, self.cx - half], [0, self.fy, self.cy - half], [0, 0, 1]])
+
 
 def pinhole(camera: Camera, *, distorted: bool = False) -> Pinhole:
     """Return the camera's intrinsics.
@@ -92,9 +96,12 @@ def to_opencv(
     ```
     """
     half, view = half_pixel(pixel_centres), pinhole(camera, distorted=True)
-    K = np.array([[view.fx, 0, view.cx - half], [0, view.fy, view.cy - half], [0, 0, 1]])
     pose = inverse(pose_of(camera))
-    return K, pose[:3, :3].copy(), pose[:3, 3].copy()  # OpenCV wants them contiguous
+    return (
+        view.matrix(half),
+        pose[:3, :3].copy(),
+        pose[:3, 3].copy(),
+    )  # OpenCV wants them contiguous
 
 
 def distortion_model(
@@ -153,11 +160,12 @@ def camera_from_pinhole(
     distortion: Distortion | None = None,
 ) -> Camera:
     """Return the camera of intrinsics and a rigid transform from a frame with these axes."""
-    K = np.array([[view.fx, 0, view.cx], [0, view.fy, view.cy], [0, 0, 1]])
     pose, size = inverse(world_from_camera @ axes), (view.W, view.H)
     R, t = pose[:3, :3], pose[:3, 3]
     try:
-        return Camera.from_K(K, R, t, *size, pixel_centres="half", distortion=distortion)
+        return Camera.from_K(
+            view.matrix(), R, t, *size, pixel_centres="half", distortion=distortion
+        )
     except ValueError as error:
         raise ValueError(f"{error} (in {fields.where})") from None
 

@@ -1,5 +1,6 @@
 """Label pictures: some values, each on a flat area, where a mask has two levels and soft edges."""
 
+from collections import Counter
 from typing import NamedTuple
 
 import numpy as np
@@ -62,7 +63,7 @@ def _counted(numbers: np.ndarray, seen: np.ndarray | None) -> _Counts | None:
     """Return the counts of all values but those of the border; None where there are too many."""
     from scipy.ndimage import maximum_filter, minimum_filter
 
-    table: dict[float, np.ndarray] = {}
+    pixels, flat_pixels = Counter[float](), Counter[float]()
     for part in rows(*numbers.shape):
         here = numbers[max(part.start - 1, 0) : part.stop + 1]
         flat = (minimum_filter(here, 3) == maximum_filter(here, 3))[1:-1, 1:-1]
@@ -70,15 +71,14 @@ def _counted(numbers: np.ndarray, seen: np.ndarray | None) -> _Counts | None:
         if seen is not None:
             shown = seen[max(part.start, 1) : part.stop + 1, 1:-1][: len(here)]
             here, flat = here[shown], flat[shown]
-        for k, some in enumerate((here, here[flat])):
-            there, counts = _unique(some)
-            if len(there) > MOST_VALUES:
+        for total, some in ((pixels, here), (flat_pixels, here[flat])):
+            values, counts = _unique(some)
+            if len(values) > MOST_VALUES:
                 return None
-            for value, count in zip(there.tolist(), counts, strict=True):
-                table.setdefault(value, np.zeros(2))[k] += count
-    order = sorted(table)
-    pixels, flat = np.array([table[value] for value in order]).reshape(-1, 2).T
-    return _Counts(np.array(order, numbers.dtype), pixels, flat)
+            total.update(dict(zip(values.tolist(), counts.tolist(), strict=True)))
+    order = sorted(pixels)
+    counts = (np.array([total[value] for value in order]) for total in (pixels, flat_pixels))
+    return _Counts(np.array(order, numbers.dtype), *counts)
 
 
 def _unique(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

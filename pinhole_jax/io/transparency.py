@@ -157,16 +157,11 @@ def _colours(band: Image) -> np.ndarray:
 
 
 def _is_same(opaque: np.ndarray, shade: np.ndarray) -> bool:
-    """Return True where colours leave the outline of the opacity as it is."""
-    soft = apart = lost = 0
-    for part in rows(*opaque.shape):
-        a, s = opaque[part].astype(np.int32), shade[part].astype(np.int32)
-        seen = (a > 0) & ((a < 255 - GREY) | (s < 255 - GREY))
-        soft += np.count_nonzero(seen)
-        apart += np.count_nonzero(seen & (np.abs(a - s) > GREY))
-        lost += np.sum(a * (255 - s)) / 255**2
-    # Premultiplied, or the same picture twice; or hardly another outline.
-    return bool(apart <= FEW * soft or lost <= SAME_PX * np.count_nonzero(ring(opaque > 127, 0)))
+    """Return True where colours take hardly anything from the opacity: they are the same picture,
+    premultiplied, or light."""
+    parts = ((opaque[part].astype(np.int32), shade[part]) for part in rows(*opaque.shape))
+    lost = sum(int(np.sum(np.maximum(a - s - GREY, 0))) for a, s in parts)
+    return lost <= 255 * SAME_PX * np.count_nonzero(ring(opaque > 127, 0))
 
 
 def _between(values: np.ndarray) -> int:
