@@ -79,7 +79,7 @@ def test_coverage_is_that_of_the_bent_triangles(case):
 def test_sheets_on_the_pixel_grid():
     """Sides through the principal point stay on the grid, others bend; two sheets are copies."""
     for seed in range(6):
-        (vertices, faces), _ = test_grid.sheets(np.random.default_rng(seed), "quarters")
+        vertices, faces = test_grid.sheets(np.random.default_rng(seed), 1 / 4)
         view = test_grid.camera(seed % 4)
         view = eqx.tree_at(lambda c: c.lens, view, pj.Lens([20, 16], 1.0, pj.BrownConrady(-0.2)))
         image = silhouette(view, test_grid.scene_of(vertices, faces))
