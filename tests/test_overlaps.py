@@ -47,6 +47,12 @@ def soup(number=100):
     return corners.reshape(-1, 3), np.arange(3 * number).reshape(-1, 3)
 
 
+def room():
+    """A box without a wall: rays along the axes meet corners' diagonals exactly."""
+    box = trimesh.creation.box(extents=[2, 2, 2])
+    return box.vertices, box.faces[box.face_normals[:, 2] < 0.5]
+
+
 def turned_faces():
     vertices, faces = noisy_sphere()
     turn = np.random.default_rng(4).random(len(faces)) < 0.4
@@ -59,15 +65,18 @@ MESHES = {
     "bowl": bowl,
     "soup": soup,
     "turned faces": turned_faces,
+    "room": room,
     "rough sphere": lambda: rough(4, 0.12),  # tens of pieces in a pixel, nearly all of them hidden
     "rougher sphere": lambda: rough(4, 1.2),
 }
 
 
 def cameras(number, dtype=float, W=W, H=H):
-    """Return cameras from far to within; some look past the object, some see a part."""
+    """Return cameras from within to far; some look past the object, some see a part."""
     random = np.random.default_rng(5)
-    for k in range(number):
+    from_origin = ([0, 0, 0], [1, 0, 1], [0, 1, 0], 1.9, 1.0)
+    yield pj.Camera(*(np.asarray(x, dtype) for x in from_origin), W, H)
+    for k in range(number - 1):
         direction = random.normal(size=3)
         eye = direction / np.linalg.norm(direction) * [4, 1.3, 2, 0.4, 6][k % 5]
         aim = random.normal(size=3) * [0.3, 0.8, 0.6, 0.5, 0.1][k % 5]
@@ -88,7 +97,7 @@ def test_meshes_match_the_polygon_union(name, dtype, exhaustive):
     vertices, faces = MESHES[name]()
     vertices = vertices.astype(dtype)
     scene = in_scene(vertices, faces)
-    for camera in cameras(20 if exhaustive else 4 if dtype == "float64" else 1, dtype):
+    for camera in cameras(20 if exhaustive else 5 if dtype == "float64" else 2, dtype):
         expected = mesh_coverage(camera, vertices, faces)
         tolerance = 1e-9 if dtype == "float64" else 1e-4
         assert_allclose(pj.silhouette(camera, scene), expected, atol=tolerance)
@@ -104,7 +113,7 @@ def test_real_meshes_match_the_polygon_union(name, shared, exhaustive):
     if len(faces) > 20_000 and not exhaustive:
         pytest.skip("large: only with --exhaustive")
     scene = pj.Scene(mesh=filled(vertices, faces, max(20_000, len(vertices), len(faces))))
-    for camera in cameras(20 if exhaustive else 2):
+    for camera in cameras(20 if exhaustive else 3):
         expected = mesh_coverage(camera, vertices, faces)
         assert_allclose(pj.silhouette(camera, scene), expected, atol=1e-9)
 
@@ -143,19 +152,6 @@ def test_eye_inside_a_closed_body_sees_nothing_else():
     spheres = pj.Spheres([[0, 0, 0], [0, 3, 0], [1, 1, 0]], [0.5, 0.1, 0.2])
     for scene in (pj.Scene(spheres=spheres), in_scene(*noisy_sphere())):
         assert_array_equal(pj.silhouette(camera, scene), 1)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("eye", np.array([[0, 0, 0], [0.3, 0.1, -0.2]]))
-def test_room_with_one_wall_missing_around_the_eye(eye):
-    # Five sides of a box: rays along the axes meet vertices' diagonals exactly when centred.
-    box = trimesh.creation.box(extents=[2, 2, 2])
-    faces = box.faces[box.face_normals[:, 2] < 0.5]
-    y, z = [0, 1, 0], [0, 0, 1]
-    for aim, up in (([0, 0, 1], y), ([1, 0, 1], y), ([0, 1, 0.7], z), ([0, -1, 0], z)):
-        camera = pj.Camera(eye, eye + aim, up, 1.9, W=W, H=H)
-        expected = mesh_coverage(camera, box.vertices, faces)
-        assert_allclose(pj.silhouette(camera, in_scene(box.vertices, faces)), expected, atol=1e-9)
 
 
 @pytest.mark.long
