@@ -5,12 +5,10 @@ import pytest
 from numpy.testing import assert_allclose
 from oracles import usual_camera
 from results import NAMES, fit_at
-from scipy.spatial.transform import Rotation
 from scipy.stats import kstest
 
 import pinhole_jax as pj
 from pinhole_jax._camera.poses import at_pose, exponential, pose_of
-from pinhole_jax._fit.drift import other_places
 from pinhole_jax._solver.moves import displaced
 
 CAMERA = usual_camera()
@@ -117,38 +115,3 @@ def test_drift_of_a_certain_move_is_finite():
 def test_fit_without_pose_is_refused():
     with pytest.raises(ValueError, match="`fit`: expected one whose pose was free, got phi"):
         pj.drift(fit_of(CAMERA, np.eye(1), ("phi",)), CAMERA)
-
-
-def test_modes_that_the_noise_does_not_tell_apart_are_one():
-    """One standard error away is the same place, ten are another one; told twice, it is one."""
-    covariance = np.diag(np.full(7, 0.02) ** 2)
-    near, far, _ = modes = [fit_of(moved(turn=(0.02 * x, 0, 0)), covariance) for x in (1, 10, 10.5)]
-    sharp, blind = 1e-4 * covariance, covariance.copy()
-    blind[0, 0] = np.inf
-    for given, others, left in (
-        (covariance, modes, [far]),
-        # What is as near is another place where the noise is less, or does not say.
-        (sharp, modes, modes),
-        (blind, modes, modes),
-        (covariance, [], []),
-        # One that is left keeps the status, the farthest of those that are the fit's place.
-        (covariance, [fit_of(CAMERA, covariance), near], [near]),
-        # However wide the error bars are, a large move is reported.
-        (1e4 * covariance, modes, [far]),
-    ):
-        found = other_places(fit_of(CAMERA, given), others)
-        assert [m.camera for m in found] == [m.camera for m in left]
-
-
-def test_modes_but_for_a_free_turn_are_one():
-    """A can is seen upright from one side, or upside down from any."""
-
-    def seen(upside_down, angle):
-        turn = Rotation.from_euler("xy", [np.pi * upside_down, angle]).as_matrix()
-        e, p, u = (turn @ x for x in np.eye(3)[[2, 0, 1]])
-        return fit_of(pj.Camera(5 * e, p, u, 0.6, 1.0, 96, 80), np.full((7, 7), np.inf))
-
-    fit, beside, *below = (seen(*x) for x in ((0, 0.0), (0, 2.0), (1, 0.0), (1, 1.0)))
-    modes = [beside, *below]
-    assert other_places(fit, modes) == modes
-    assert other_places(fit, modes, [np.array([0, 1.0, 0])]) == below[:1]

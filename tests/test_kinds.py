@@ -100,13 +100,6 @@ def test_moved_outline_is_not_explained(mask):
             assert np.mean((moved - mask)[outline] ** 2) > found.most
 
 
-def test_constant_offset_has_no_spread(mask):
-    """Greys of 5 and 250: their squares do not spread, and tell all the same."""
-    found = kind_of(np.where(mask > 0.5, 250, 5).astype(np.uint8), np.ones(mask.shape), np.float64)
-    assert (found.name, found.exact) == ("noisy", True)
-    assert found.spread < 1e-12
-
-
 @pytest.mark.parametrize("full", [1, 255, 65535])
 @pytest.mark.parametrize("dtype", [bool, np.uint8, np.int16, np.uint16, np.int64, np.uint32])
 def test_masks_of_two_values_are_taken_whatever_their_type(dtype, full):

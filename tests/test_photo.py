@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
-from pinhole_jax._mask import matte
 
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 192, 160)
 START = turned(CAMERA, [1, 2, 3], 3)
@@ -129,13 +128,6 @@ def test_pixels_of_zero_weight_do_not_count_in_the_photo(scene, shown):
     fit = pj.fit_camera(scene, mask, START, weight=weight, photo=photo)
     assert "fitted to the photo" in fit.weak[-1]
     assert np.all(off(fit) < [0.5, 0.01])
-
-
-def test_light_is_that_of_srgb():
-    values = np.array([[[0, 10, 118], [188, 255, 64]]], np.uint8)
-    expected = [[[0, 0.00303, 0.18116], [0.50289, 1, 0.05126]]]
-    np.testing.assert_allclose(matte.light(values), expected, atol=1e-4)
-    np.testing.assert_allclose(matte.light(values / 255), expected, atol=1e-4)
 
 
 PHOTO = np.zeros((160, 192, 3), np.uint8)
