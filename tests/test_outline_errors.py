@@ -63,12 +63,10 @@ def test_mask_without_some_pixels_of_its_outline_is_drawn(scene, image):
 def test_rendered_triangle_soup_is_not_taken_for_drawn():
     """Pixels in which several edges lie err for each of them."""
     random = np.random.default_rng(0)
-    corners = random.normal(0, 0.5, (800, 1, 3)) + random.normal(0, 0.1, (800, 3, 3))
-    soup = single(pj.Scene(mesh=pj.Mesh(corners.reshape(-1, 3), np.arange(2400).reshape(-1, 3))))
-    image = np.asarray(pj.silhouette(single(CAMERA), soup))
-    for mask, is_wavy in ((image > 0.5, False), (wavy(image, random, 0.3, 20), True)):
-        fit = pj.fit_camera(soup, mask, single(CAMERA))
-        assert (fit.mask_error.px > 0.1) == is_wavy
+    corners = random.normal(0, 0.5, (200, 1, 3)) + random.normal(0, 0.2, (200, 3, 3))
+    soup = single(pj.Scene(mesh=pj.Mesh(corners.reshape(-1, 3), np.arange(600).reshape(-1, 3))))
+    mask = np.asarray(pj.silhouette(single(CAMERA), soup)) > 0.5
+    assert pj.fit_camera(soup, mask, single(CAMERA)).mask_error.px < 0.1
 
 
 def test_rendered_soft_mask_has_no_mask_error(scene, image):
