@@ -45,7 +45,7 @@ def test_rendered_binary_mask_has_quantisation_errors_alone(scene, image):
     assert np.all((ratio > 0.9) & (ratio < 1.5))
 
 
-@pytest.mark.parametrize(("px", "length"), [(1.0, 5.0), full(2.0, 10.0)])
+@pytest.mark.parametrize(("px", "length"), [(1.0, 10.0), full(2.0, 10.0)])
 def test_size_and_length_of_errors_are_those_that_a_mask_was_drawn_with(scene, image, px, length):
     masks = [wavy(image, np.random.default_rng(seed), px, length) for seed in range(5)]
     errors = [pj.fit_camera(scene, mask, single(CAMERA)).mask_error for mask in masks]
