@@ -45,11 +45,11 @@ def test_rendered_binary_mask_has_quantisation_errors_alone(scene, image):
     assert np.all((ratio > 0.9) & (ratio < 1.5))
 
 
-@pytest.mark.parametrize(("px", "length"), [(1.0, 10.0), full(2.0, 10.0)])
-def test_size_and_length_of_errors_are_those_that_a_mask_was_drawn_with(scene, image, px, length):
-    masks = [wavy(image, np.random.default_rng(seed), px, length) for seed in range(5)]
-    errors = [pj.fit_camera(scene, mask, single(CAMERA)).mask_error for mask in masks]
-    assert_allclose(np.log(np.median(errors, axis=0) / [px, length]), 0, atol=np.log(3))
+@pytest.mark.parametrize("px", [1.0, full(2.0)])
+def test_size_of_errors_is_that_of_a_mask_as_it_was_drawn(scene, image, px):
+    masks = [wavy(image, np.random.default_rng(seed), px, 10.0) for seed in range(4)]
+    errors = [pj.fit_camera(scene, mask, single(CAMERA)).mask_error.px for mask in masks]
+    assert 0.5 < np.median(errors) / px < 2
 
 
 def test_mask_without_some_pixels_of_its_outline_is_drawn(scene, image):
