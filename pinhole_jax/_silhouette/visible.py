@@ -1,28 +1,34 @@
-"""The silhouette's outline as lines on the film, and the points of the object that make it."""
+"""The silhouette's outline as lines on the film, and the points of the object that make it.
+
+Rays that pass beside the contour say which parts of it are seen.
+"""
+
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from .._camera.bent import bent
-from .._camera.camera import Camera, camera_coordinates, film_map
-from .._camera.rays import project
+from .._camera.camera import Camera, film_map
+from .._camera.rays import Rays
 from .._native.rasteriser import sphere_frames
 from .._numerics.safe import norm
-from .._scene.scene import Mesh, Scene, astype, check_view
-from .clip import Curve
-from .conics import film_at
-from .contour import contour_weights, edge_curves
-from .spheres import ARCS_PER_SPHERE, Points, shown_arcs
-from .surrounding import surrounding
+from .._scene.scene import Scene, astype, check_view
+from .._trace.trace import occluded
+from .contour import contour_weights
 
-#: Outline points are at most this far apart (px), and no closer than that.
-STEP_PX = 2.0
-#: Shorter gaps (px) do not count: they come from rounding.
-LEAST_PX = 1e-6
-#: Points along an arc of a sphere's outline.
-ARC_POINTS = 65
+#: Segments of an outline are at most this long (px), of this many steps that a ray decides on.
+STEP_PX, STEPS = 2.0, 16
+#: Rays pass the contour at this distance (px), and at this many roundings of their directions.
+BESIDE_PX, ROUNDINGS = 1e-3, 8
+#: A sphere's outline has this many lines times the root of the film's size (px).
+LINES = 200
+#: Steps go on straight if their directions' cosine is more.
+STRAIGHT = 0.9999
+#: A line's parts at most.
+MOST_PARTS = 10_000
 
 
 def outline(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 2 2"]:
@@ -35,37 +41,27 @@ def outline(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 2 2"]:
     segments = pj.outline(fit.camera, scene)  # (n, 2, 2) in px: matplotlib's LineCollection
     ```
     """
-    check_view(camera, scene)
-    if not _has_parts(scene):
-        return np.zeros((0, 2, 2))
-    *lines, layers = _lines(camera, astype(scene, camera.e.dtype))
-    on = np.asarray(lines[2]) != 0
-    start, end, weight = (np.asarray(x, float)[on] for x in lines)
-    reverse = weight < 0  # cover on the right: the same line run the other way
-    start[reverse], end[reverse] = end[reverse], start[reverse]
-    weight = np.abs(weight)
-    line, first, last = _short_parts(start, end)
-    along = (end - start)[line]
-    short = np.stack([start[line] + t[:, None] * along for t in (first, last)], axis=1)
-    # Points just outside and inside: with cover on the left. (A face of no area has none.)
-    direction = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-30)
-    right = 1e-3 * np.stack([direction[:, 1], -direction[:, 0]], axis=1)
-    outside, inside = (
-        _winding(short.mean(axis=1) + side, start, end, weight) + int(layers)
-        for side in (right, -right)
-    )
-    visible = (outside <= 0) & (inside > 0)
-    return bent(camera, short[visible])
+    lines, to_world = _contour(camera, scene)
+    ends = lines[..., :2] / lines[..., 2:]
+    line, shares = _parts(ends, STEP_PX / STEPS)
+    way = ends[line, 1] - ends[line, 0]
+    first, middle, last = ends[line, 0] + shares[..., None] * way
+    way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-30)
+    rounding = ROUNDINGS * np.finfo(camera.e.dtype).eps / np.linalg.norm(to_world[:, 0])
+    aside = max(BESIDE_PX, rounding) * way[:, ::-1] * [1, -1]
+    covered = (_covered(camera, scene, to_world, middle + s) for s in (aside, -aside))
+    seen = np.logical_xor(*covered)
 
-
-def _has_parts(scene: Scene) -> bool:
-    """Return True for a scene with an edge or a sphere."""
-    edges = scene.mesh is not None and scene.mesh.edge_faces.shape[0]
-    return bool(edges or (scene.spheres is not None and scene.spheres.radii.shape[0]))
+    # Steps that go on straight are one segment.
+    joined = seen[1:] & seen[:-1] & (np.sum(way[1:] * way[:-1], axis=1) > STRAIGHT)
+    joined &= np.all(np.abs(first[1:] - last[:-1]) < BESIDE_PX, axis=1)
+    joined &= np.arange(1, len(seen)) % STEPS > 0
+    begins, ends = seen & ~np.append(False, joined), seen & ~np.append(joined, False)
+    return bent(camera, np.stack([first[begins], last[ends]], axis=1))
 
 
 def contour_points(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 3"]:
-    """Return points in space (n, 3) on the contour, in front of the eye.
+    """Return points in space (n, 3) on the contour, in front of the eye, in and near the film.
 
     On edges some px apart, on spheres where rays touch them.
 
@@ -73,81 +69,70 @@ def contour_points(camera: Camera, scene: Scene) -> Float[np.ndarray, "n 3"]:
     pj.contour_points(fit.camera, scene).shape
     ```
     """
+    lines, to_world = _contour(camera, scene)
+    line, (_, middle, _) = _parts(lines[..., :2] / lines[..., 2:], STEP_PX)
+    start, end = lines[line, 0], lines[line, 1]
+    points = start + middle[:, None] * (end - start)
+    return np.asarray(camera.e, float) + points @ to_world.T
+
+
+def _covered(
+    camera: Camera, scene: Scene, to_world: np.ndarray, film: Float[np.ndarray, "n 2"]
+) -> np.ndarray:
+    """Return True for ideal film points where the object is."""
+    ways: Any = np.column_stack([film, np.ones(len(film))]) @ to_world.T
+    return np.asarray(occluded(scene, Rays(camera.e, ways.astype(camera.e.dtype))))
+
+
+def _contour(camera: Camera, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Return the contour's lines in and near the film, seen or not, as homogeneous film points
+    (n, 2, 3), and the map (3, 3) of these to offsets from the eye."""
     check_view(camera, scene)
-    scene, real = astype(scene, camera.e.dtype), camera.e.dtype
-    parts = [np.zeros((0, 3))]
-    if scene.mesh is not None and scene.mesh.edge_faces.shape[0]:
-        on = np.flatnonzero(np.asarray(edge_weights(scene.mesh, camera.e)))
-        edges = np.asarray(scene.mesh.vertices, float)[np.asarray(scene.mesh.edge_vertices)[on]]
-        film = np.asarray(project(camera, edges.astype(real)), float)
-        counts = _part_counts(film[:, 0], film[:, 1], 200)
-        edge, rank = ranks(counts)
-        share = ((rank + 0.5) / counts[edge])[:, None]
-        parts.append(edges[edge, 0] + share * (edges[edge, 1] - edges[edge, 0]))
-    if scene.spheres is not None:
-        centers, radii = (
-            np.asarray(x, float) for x in (scene.spheres.centers, scene.spheres.radii)
-        )
-        parts += map(_rim, centers - np.asarray(camera.e, float), radii, centers)
-    points = np.concatenate(parts)
-    ahead = np.asarray(camera_coordinates(camera, points.astype(real)))[:, 2] > 0
-    return points[ahead]
-
-
-def _rim(offset: np.ndarray, radius: float, centre: np.ndarray) -> Float[np.ndarray, "n 3"]:
-    """Return the points where rays touch a sphere; none from within."""
-    far = np.linalg.norm(offset)
-    if far <= radius:
-        return np.zeros((0, 3))
-    axis, sine = offset / far, radius / far
-    first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-    first /= np.linalg.norm(first)
-    angle = np.linspace(0, 2 * np.pi, 180, endpoint=False)[:, None]
-    ring = np.cos(angle) * first + np.sin(angle) * np.cross(axis, first)
-    return centre + radius * (np.sqrt(1 - sine**2) * ring - sine * axis)
+    curves = _curves(camera, astype(scene, camera.e.dtype))
+    matrix, bounds, edges, frames = (np.asarray(x, float) for x in curves)
+    angle = np.linspace(0, 2 * np.pi, int(LINES * max(camera.W, camera.H) ** 0.5) + 1)
+    ring = np.stack([np.ones(len(angle)), np.cos(angle), np.sin(angle)], axis=1) @ frames
+    sides = np.stack([ring[:, :-1], ring[:, 1:]], axis=2).reshape(-1, 2, 3)
+    lines = np.concatenate([edges, sides])
+    return _cut_off(lines[np.any(lines, axis=(1, 2))], bounds), np.linalg.inv(matrix)
 
 
 @eqx.filter_jit
-def _lines(camera: Camera, scene: Scene) -> tuple[Array, Array, Array, Int[Array, ""]]:
-    """Starts, ends and weights of the contour's lines, and the layers far on the left.
-
-    The contour in and near the film, then the parts left of it; arcs are cut into lines.
-    """
-    film, kinds = film_map(camera), []
-    if scene.mesh is not None and scene.mesh.edge_faces.shape[0]:
-        kinds += edge_curves(film(scene.mesh.vertices), film, scene.mesh)
-    if scene.spheres is not None and scene.spheres.radii.shape[0]:
-        frames = sphere_frames(film, scene.spheres).reshape(-1, 3, 3)
-        outside = norm(scene.spheres.centers - film.eye[None]) > scene.spheres.radii
-        kinds.append(_arc_lines(frames, *shown_arcs(frames, outside)))
-    start, end, weight = (jnp.concatenate(x) for x in zip(*kinds, strict=True))
-    return start, end, weight, surrounding(film, scene)
-
-
-def _arc_lines(
-    frames: Float[Array, "S 3 3"], start: Points, end: Points, weight: Float[Array, "A"]
-) -> Curve:
-    """Arcs as `ARC_POINTS` - 1 straight lines each: their ends on the film, and weights."""
-    begin, until = (jnp.arctan2(w[:, 1:], w[:, :1]) for w in (start, end))
-    share = jnp.linspace(1e-6, 1 - 1e-6, ARC_POINTS, dtype=weight.dtype)[None]
-    angle = begin + (until - begin) % (2 * np.pi) * share
-    w = jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=-1)
-    frame = jnp.repeat(frames, ARCS_PER_SPHERE, axis=0)[:, None]
-    points = jnp.clip(film_at(jnp.broadcast_to(frame, (*angle.shape, 3, 3)), w), -1e9, 1e9)
-    first, last = points[:, :-1].reshape(-1, 2), points[:, 1:].reshape(-1, 2)
-    return first, last, jnp.repeat(weight, ARC_POINTS - 1)
+def _curves(camera: Camera, scene: Scene) -> tuple[Array, Array, Array, Array]:
+    """The film's matrix and bounds, edges (E, 2, 3) as homogeneous film points, and conics
+    (S, 3, 3) of spheres; 0 off the contour."""
+    film, mesh, spheres = film_map(camera), scene.mesh, scene.spheres
+    edges, frames = jnp.zeros((0, 2, 3)), jnp.zeros((0, 3, 3))
+    if mesh is not None and mesh.edge_faces.shape[0]:
+        on = contour_weights(mesh, camera.e) != 0
+        edges = jnp.where(on[:, None, None], film(mesh.vertices)[mesh.edge_vertices], 0)
+    if spheres is not None:
+        outside = norm(spheres.centers - camera.e) > spheres.radii
+        frames = sphere_frames(film, spheres).reshape(-1, 3, 3)
+        frames = jnp.where(outside[:, None, None], frames, 0)
+    return film.matrix, film.bounds, edges, frames
 
 
-@eqx.filter_jit
-def edge_weights(mesh: Mesh, e: Float[Array, "3"]) -> Int[Array, "E"]:
-    """`contour_weights` as a program of its own."""
-    return contour_weights(mesh, e)
+def _cut_off(lines: np.ndarray, bounds: np.ndarray) -> np.ndarray:
+    """Return the parts of lines within bounds (left, right, low, high), in front of the eye."""
+    xy, z = lines[..., :2], lines[..., 2:]
+    inside = np.concatenate([xy - bounds[::2] * z, bounds[1::2] * z - xy], axis=-1)
+    first, last = inside[:, 0], inside[:, 1]
+    cut = first / np.where(first == last, 1, first - last)
+    begin = np.max(np.where(first < 0, cut, 0), axis=1)
+    end = np.min(np.where(last < 0, cut, 1), axis=1)
+    some = (begin < end) & ~np.any((first < 0) & (last < 0), axis=1)
+    start, way = lines[some, 0], lines[some, 1] - lines[some, 0]
+    return np.stack([start + t[some, None] * way for t in (begin, end)], axis=1)
 
 
-def _part_counts(start: np.ndarray, end: np.ndarray, most: int) -> Int[np.ndarray, "n"]:
-    """Return the numbers of parts, about `STEP_PX` long each, of lines."""
-    length = np.linalg.norm(end - start, axis=1)
-    return np.clip(np.ceil(length / STEP_PX), 1, most).astype(int)
+def _parts(ends: Float[np.ndarray, "n 2 2"], step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the parts, at most a step (px) long, of lines: the number of the line, and the shares
+    of it (0 to 1) at its beginning, middle and end (3, n)."""
+    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    counts = np.clip(np.ceil(length / step), 1, MOST_PARTS).astype(int)
+    line, rank = ranks(counts)
+    return line, (rank + np.array([[0], [0.5], [1]])) / counts[line]
 
 
 def ranks(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -156,57 +141,5 @@ def ranks(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return group, np.arange(len(group)) - (np.cumsum(counts) - counts)[group]
 
 
-def _short_parts(start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the lines' parts, cut at other lines and every `STEP_PX`.
-
-    The number of the line, and the share of it (0 to 1) at which the part begins and ends.
-    """
-    counts = _part_counts(start, end, 10_000)
-    length = np.linalg.norm(end - start, axis=1)
-    line, rank = ranks(counts + 1)
-    crossed, crossing = _meetings(start, end)
-    share = np.append(rank / counts[line], crossing)
-    line = np.append(line, crossed)
-    order = np.lexsort((share, line))
-    line, share = line[order], share[order]
-    gap = np.append(np.diff(share), -1)
-    parts = np.flatnonzero((np.append(np.diff(line), 1) == 0) & (gap * length[line] > LEAST_PX))
-    return line[parts], share[parts], share[parts + 1]
-
-
-def _meetings(start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the numbers of lines that cross others, and at which share of them (0 to 1).
-
-    Lines that run on one another need no cut: those that they go on as mark where that begins.
-    """
-    low, high = np.minimum(start, end) - LEAST_PX, np.maximum(start, end) + LEAST_PX
-    cross = lambda a, b: a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-    lines, along = [np.zeros(0, int)], [np.zeros(0)]
-    for begin in range(0, len(start), 512):
-        block = slice(begin, begin + 512)
-        apart = (low[block, None] > high[None]) | (low[None] > high[block, None])
-        line, other = np.nonzero(~apart.any(axis=2))
-        line = line + begin
-        own, theirs = end[line] - start[line], end[other] - start[other]
-        sweep, offset = cross(own, theirs), start[other] - start[line]
-        safe = np.where(sweep == 0, 1, sweep)
-        t, reach = cross(offset, theirs) / safe, cross(offset, own) / safe
-        met = (sweep != 0) & (t > 0) & (t < 1) & (np.abs(reach - 0.5) < 0.5 + 1e-9)
-        lines.append(line[met])
-        along.append(t[met])
-    return np.concatenate(lines), np.concatenate(along)
-
-
-def _winding(
-    points: np.ndarray, start: np.ndarray, end: np.ndarray, weight: np.ndarray
-) -> np.ndarray:
-    """Return the number of layers over each point: signed crossings of the ray to its left."""
-    result = np.zeros(len(points))
-    for begin in range(0, len(points), 512):
-        x, y = points[begin : begin + 512, None].transpose(2, 0, 1)
-        spans = (start[:, 1] <= y) != (end[:, 1] <= y)
-        rise = np.where(start[:, 1] == end[:, 1], 1, end[:, 1] - start[:, 1])
-        crossing = start[:, 0] + (y - start[:, 1]) / rise * (end[:, 0] - start[:, 0])
-        sign = np.where(end[:, 1] < start[:, 1], 1, -1)
-        result[begin : begin + 512] = np.sum(spans * (crossing < x) * sign * weight, axis=1)
-    return np.round(result)
+#: `contour_weights` as a program of its own.
+edge_weights = eqx.filter_jit(contour_weights)
