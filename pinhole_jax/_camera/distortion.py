@@ -35,8 +35,7 @@ COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 LEAST_SLOPE, MOST_SLOPE = 0.05, 100.0
 #: Radii of the ideal image that are tried: the last is a tenth of a degree from the eye's plane.
 RADII = np.geomspace(1e-3, 600.0, 1024)
-#: The most steps of Newton's method: lenses of cameras take 2 to 6 to the last digit, those that
-#: are about to fold, or show 70 degrees by a polynomial in the ideal radius, up to 20.
+#: The most steps of Newton's method.
 NEWTON_STEPS = 40
 
 
@@ -89,9 +88,9 @@ class Distortion(eqx.Module):
         edge = self.polynomial(x * share, y * share)
         return radius <= safe_sqrt(edge[0] * edge[0] + edge[1] * edge[1])
 
-    @abc.abstractmethod
     def undistorted(self, x: Float[Array, "*n"], y: Float[Array, "*n"]) -> tuple[Array, Array]:
-        """Return the ideal points of distorted ones (Newton; differentiated implicitly)."""
+        """Return the ideal points of distorted ones."""
+        return _undistorted(self, x, y)
 
 
 class RadialTangential(Distortion):
@@ -119,10 +118,6 @@ class RadialTangential(Distortion):
     def slope(self, radius: Array) -> Array:
         """Return a lower bound of the image's growth at a radius."""
         return _growth(self.radial, radius) - 6 * length(self.p1, self.p2) * radius
-
-    def undistorted(self, x: Float[Array, "*n"], y: Float[Array, "*n"]) -> tuple[Array, Array]:
-        """Return the ideal points of distorted ones."""
-        return _undistorted(self, x, y)
 
 
 class BrownConrady(RadialTangential):
@@ -239,20 +234,6 @@ class Fisheye(Distortion):
         """Return the image's growth with the angle at a radius of the ideal image."""
         return _growth(self.angular, jnp.arctan(radius))
 
-    def undistorted(self, x: Float[Array, "*n"], y: Float[Array, "*n"]) -> tuple[Array, Array]:
-        """Return the ideal points of distorted ones.
-
-        Newton's method solves for the angle: 90 degrees are a number like any other there, while
-        the ideal radius, its tangent, is infinite.
-        """
-        radius, trusted = safe_sqrt(x * x + y * y), self.trusted_radius()
-        edge = jnp.arctan(trusted)
-        inner = jnp.minimum(radius, edge * self.angular(edge * edge))
-        beyond = (radius - inner) * (1 + trusted * trusted) / _growth(self.angular, edge)
-        ideal = jnp.tan(_angles(self, edge, inner)) + beyond
-        scale = jnp.where(radius > 0, safe_divide(ideal, radius), 1)
-        return x * scale, y * scale
-
     def angular(self, s: Array) -> Array:
         """Return the distorted radius over the angle, at a squared angle."""
         return 1 + _powers(s, self.k1, self.k2, self.k3, self.k4)
@@ -314,22 +295,29 @@ def _distorted(model: Distortion, x: Array, y: Array) -> tuple[Array, Array]:
 
 @jax.custom_jvp
 @jax.jit
-def _undistorted(model: RadialTangential, x: Array, y: Array) -> tuple[Array, Array]:
-    """Return the ideal points: Newton's method, from those of the lens without p1 and p2."""
-    goal, trusted = jnp.stack([x, y]), model.trusted_radius()
-    distorted = jnp.sqrt(jnp.sum(goal * goal, axis=0))
-    inner = jnp.minimum(distorted, trusted * model.radial(trusted * trusted))
-    radius = _inverse(model.radial, trusted, inner)
-    radius += (distorted - inner) / _growth(model.radial, trusted)
+def _undistorted(model: Distortion, x: Array, y: Array) -> tuple[Array, Array]:
+    """Return the ideal points: Newton's method, from a table for the lens without p1 and p2.
 
-    def step(at: Array) -> tuple[Array, Array]:
+    The number of right digits doubles from step to step: what follows a step that changes less than
+    half of them is rounding, and where the image hardly grows no less than that step.
+    """
+    goal, trusted = jnp.stack([x, y]), model.trusted_radius()
+    radii = jnp.asarray(RADII, goal.dtype)
+    right, left = (model.continued(trusted, r, jnp.zeros_like(r))[0] for r in (radii, -radii))
+    seen = (right - left) / 2  # (p1 and p2 bend both the same way)
+    start = goal * jnp.interp(jnp.hypot(x, y), seen, radii / seen)[None]
+
+    def further(state):
+        number, at, _ = state
         value, by_x, by_y = _linearised(model, trusted, *at)
         move = _solved(by_x, by_y, goal - value)
-        size = 1 + jnp.sqrt(jnp.sum(at * at, axis=0))
-        return at + move, jnp.max(jnp.abs(move) / size[None])
+        share = jnp.abs(move) / (1 + jnp.hypot(*at))[None]
+        return number + 1, at + move, jnp.max(share)
 
-    start = goal * jnp.where(distorted > 0, safe_divide(radius, distorted), 1)[None]
-    ideal = _settled(step, start)
+    tiny = float(jnp.finfo(start.dtype).eps) ** 0.5 / 4
+    going = lambda state: (state[0] < NEWTON_STEPS) & (state[2] > tiny)
+    first = spread([jnp.int32(0), start, jnp.asarray(jnp.inf, start.dtype)], [start])
+    ideal = jax.lax.while_loop(going, further, tuple(first))[1]
     return ideal[0], ideal[1]
 
 
@@ -340,72 +328,6 @@ def _undistorted_rate(primals: Any, tangents: Any):
     ideal = _undistorted(model, x, y)
     _, by_x, by_y = _linearised(model, model.trusted_radius(), *ideal)
     moves, *goal = tangents
-    held = jax.tree.map(jax.lax.stop_gradient, ideal)
-    _, drift = jax.jvp(lambda m: m(*held), (model,), (moves,))
+    _, drift = jax.jvp(lambda m: m(*ideal), (model,), (moves,))
     change = _solved(by_x, by_y, jnp.stack(goal) - jnp.stack(drift))
     return ideal, (change[0], change[1])
-
-
-@jax.custom_jvp
-@jax.jit
-def _angles(model: Fisheye, most: Array, radius: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """Return the angles from the axis, up to `most`, of distorted radii."""
-    return _inverse(model.angular, most, radius)
-
-
-@_angles.defjvp
-def _angle_rate(primals: Any, tangents: Any):
-    (model, most, radius), (moves, _, rise) = primals, tangents
-    angle = _angles(model, most, radius)
-    held = jax.lax.stop_gradient(angle)
-    _, drift = jax.jvp(lambda m: held * m.angular(held * held), (model,), (moves,))
-    return angle, safe_divide(rise - drift, _growth(model.angular, angle))
-
-
-def _inverse(
-    factor: Callable[[Array], Array], most: Array, value: Float[Array, "*n"]
-) -> Float[Array, "*n"]:
-    """Return x from 0 to `most`, where `x factor(x^2)` grows, at which it has these values.
-
-    Steps are Newton's; one that leaves the interval around x, or is more than half as long as the
-    one before, goes to the interval's middle.
-    """
-    tiny = _tiny(value.dtype)
-
-    def step(state: Array) -> tuple[Array, Array]:
-        x, low, high, before = state
-        miss = x * factor(x * x) - value
-        low, high = jnp.where(miss < 0, x, low), jnp.where(miss > 0, x, high)
-        new = jnp.clip(x - safe_divide(miss, _growth(factor, x)), 0, most)
-        move, scale = jnp.abs(new - x), tiny * (1 + x)
-        within = (new > low - scale) & (new < high + scale)
-        within &= move <= jnp.maximum(before / 2, scale)
-        new = jnp.where(within, new, (low + high) / 2)
-        move = jnp.where(within, move, jnp.inf)
-        return jnp.stack([new, low, high, move]), jnp.max(move / (1 + x))
-
-    none = jnp.zeros_like(value)
-    start = jnp.stack([jnp.minimum(value, most), none, none + most, none + jnp.inf])
-    return _settled(step, start)[0]
-
-
-def _settled(step: Callable[[Array], tuple[Array, Array]], start: Array) -> Array:
-    """Return the point that steps lead to; a step returns its length, too.
-
-    The number of right digits doubles from step to step: what follows a step that changes less than
-    half of them is rounding, and where the image hardly grows no less than that step.
-    """
-    tiny = _tiny(start.dtype)
-
-    def further(state):
-        number, at, _ = state
-        return number + 1, *step(at)
-
-    going = lambda state: (state[0] < NEWTON_STEPS) & (state[2] > tiny)
-    first = spread([jnp.int32(0), start, jnp.asarray(jnp.inf, start.dtype)], [start])
-    return jax.lax.while_loop(going, further, tuple(first))[1]
-
-
-def _tiny(dtype: np.dtype) -> float:
-    """Return the length of a step after which only rounding is left."""
-    return float(jnp.finfo(dtype).eps) ** 0.5 / 4

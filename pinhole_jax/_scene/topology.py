@@ -15,14 +15,9 @@ def edge_records(
     """
     start = faces.ravel().astype(np.int64)
     end = np.roll(faces, -1, axis=1).ravel().astype(np.int64)
-    face = np.repeat(np.arange(len(faces), dtype=np.int32), 3)
-    if vertices is not None:
-        start, end, face = _without_slivers(start, end, face, vertices, faces)
-    proper = start != end
-    if not np.all(proper):
-        start, end, face = start[proper], end[proper], face[proper]
     directed = (np.minimum(start, end) * V + np.maximum(start, end)) * 2 + (start > end)
-    order = np.argsort(directed, kind="stable")
+    order = np.flatnonzero(start != end)
+    order = order[np.argsort(directed[order], kind="stable")]
     directed = directed[order]
     edge = directed >> 1
     paired = edge[1:] == edge[:-1]
@@ -35,66 +30,47 @@ def edge_records(
         order, edge, rank = order[again], edge[again], rank[again]
         paired = (edge[1:] == edge[:-1]) & (rank[1:] == rank[:-1])
     head = np.flatnonzero(np.append(True, ~paired)[: len(edge)])
-    one, back = order[head], order[np.minimum(head + 1, len(order) - 1)]
-    other = np.where(np.append(paired, False)[head], face[back], -1)
-    ends = np.stack([start[one], end[one]], axis=1).astype(np.int32)
-    return ends, np.stack([face[one], other], axis=1).astype(np.int32)
+    back = np.where(np.append(paired, False)[head], np.roll(order, -1)[head], -1)
+    pairs = np.stack([order[head], back], axis=1)
+    beside = pairs // 3  # a half-edge's face
+    if vertices is not None and (long := _long_sides(vertices, faces)).size:
+        beside = _handed_on(len(faces), long, pairs)[beside]
+        pairs, beside = (np.where(beside[:, :1] < 0, x[:, ::-1], x) for x in (pairs, beside))
+        differ = beside[:, 0] != beside[:, 1]
+        pairs, beside = pairs[differ], beside[differ]
+    ends = np.stack([start, end], axis=1)[pairs[:, 0]]
+    return ends.astype(np.int32), beside.astype(np.int32)
 
 
-def _without_slivers(
-    start: np.ndarray,
-    end: np.ndarray,
-    face: np.ndarray,
-    vertices: np.ndarray,
-    faces: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the half-edges (3F,) less those of faces without area.
-
-    The two short sides of such a face lie on its long one. They become sides of its neighbour
-    there; where that is a border, they become the border. So no edge is drawn three times.
-    """
-    flat = np.zeros(len(faces), bool)
+def _long_sides(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Return the half-edge that is the longest side of each face without area."""
+    found = [np.zeros(0, int)]
     for begin in range(0, len(faces), BLOCK):
-        sides = _sides(vertices, faces[begin : begin + BLOCK])
-        flat[begin : begin + BLOCK] = np.all(np.cross(sides[:, 0], sides[:, 1]) == 0, axis=1)
-    slivers = np.flatnonzero(flat)
-    if not slivers.size:
-        return start, end, face
-    face = face.copy()
-    gone = np.zeros(len(start), bool)
-    sides = _sides(vertices, faces[slivers])
-    long = 3 * slivers + np.argmax(np.linalg.norm(sides, axis=2), axis=1)
-    meeting = np.isin(end * len(vertices) + start, start[long] * len(vertices) + end[long])
-    back: dict[tuple[int, int], list[int]] = {}
-    for k in np.flatnonzero(meeting).tolist():
-        back.setdefault((int(end[k]), int(start[k])), []).append(k)
-    ready = list(zip(slivers.tolist(), long.tolist(), strict=True))
-    behind: dict[int, list[tuple[int, int]]] = {}
-    while ready:
-        f, k = ready.pop()
-        own = range(3 * f, 3 * f + 3)
-        there = back.get((int(start[k]), int(end[k])), [])
-        partner = next((h for h in there if not gone[h] and h not in own), None)
-        if partner is not None and flat[face[partner]]:
-            behind.setdefault(int(face[partner]), []).append((f, k))  # it goes first
-            continue
-        flat[f], gone[k] = False, True
-        short = [h for h in own if h != k]
-        if partner is None:
-            gone[short] = True
-        else:
-            gone[partner] = True
-            face[short] = face[partner]
-        ready += behind.pop(f, [])
-    return start[~gone], end[~gone], face[~gone]
+        corners = np.asarray(vertices[faces[begin : begin + BLOCK]], float)
+        sides = np.roll(corners, -1, axis=1) - corners
+        size = np.max(np.abs(sides), axis=(1, 2), keepdims=True)
+        sides /= np.where(size > 0, size, 1)  # no square overflows or vanishes
+        flat = np.flatnonzero(np.all(np.cross(sides[:, 0], sides[:, 1]) == 0, axis=1))
+        longest = np.argmax(np.linalg.norm(sides[flat], axis=2), axis=1)
+        found.append(3 * (begin + flat) + longest)
+    return np.concatenate(found)
 
 
-def _sides(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Return the sides of faces (F, 3, 3), each face of size 1: no square overflows or vanishes."""
-    corners = np.asarray(vertices[faces], float)
-    sides = np.roll(corners, -1, axis=1) - corners
-    size = np.max(np.abs(sides), axis=(1, 2), keepdims=True)
-    return sides / np.where(size > 0, size, 1)
+def _handed_on(F: int, long: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+    """Return the face (F + 1,) that has each face's sides: its own; none (-1) has none's, the last.
+
+    The two short sides of a face without area lie on its long one. They become sides of its
+    neighbour there; where that is a border, they become the border. So no edge is drawn three
+    times.
+    """
+    both = pairs[pairs[:, 1] >= 0]
+    beyond = np.full(3 * F, -1)
+    beyond[both] = both[:, ::-1] // 3
+    owner = np.append(np.arange(F), -1)
+    owner[long // 3] = beyond[long]
+    for _ in range(len(long).bit_length()):  # (the neighbour may have no area, too)
+        owner = owner[owner]
+    return owner
 
 
 def without_copies(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
