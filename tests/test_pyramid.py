@@ -35,7 +35,7 @@ def test_pixels_near_an_edge_and_how_near(reach):
     distance, _ = KDTree(np.argwhere(edge)).query(pixels)
     found = edge_band(inside, reach)
     assert_array_equal(found.place, np.flatnonzero(distance < 1 + reach))
-    assert_allclose(found.distance, distance[found.place], atol=1e-12)
+    assert_allclose(found.value, distance[found.place], atol=1e-12)
 
 
 @pytest.mark.parametrize("bits", [1, 8])

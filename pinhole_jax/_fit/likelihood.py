@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from .._mask.edges import NearWeights
+from .._mask.edges import Pixels
 from .._outline.outline_errors import ErrorFit, ErrorModel
 from .._rules import RULES
 from .edge import EXACT_PX, Edge, OutlinePoints, matched
@@ -233,7 +233,7 @@ def _cheapest(zero: np.ndarray, one: np.ndarray, change: np.ndarray) -> np.ndarr
     return ways
 
 
-def believed(near: NearWeights, edge: Edge, gross: np.ndarray) -> NearWeights:
+def believed(near: Pixels, edge: Edge, gross: np.ndarray) -> Pixels:
     """Weights of pixels near a mask's edge, 0 where its nearest point is not believed, and in some
     room about such points: else the camera that they were taken from is confirmed."""
     if not np.any(gross):

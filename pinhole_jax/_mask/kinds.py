@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._rules import RULES
-from .edges import EdgeBand, alike, beside, counted, edge_band, looked_up
-from .target import as_coverage, inside_of
+from .edges import Pixels, alike, counted, edge_band
+from .target import as_coverage, beside, inside_of
 
 #: What of coverage is not resolved in a float type: a fit's last step leaves this much, and a sum
 #: along a row of a fine mesh's mask is 1 to within it.
@@ -70,61 +70,29 @@ class Kind(NamedTuple):
         return misfit <= (RULES.times * self.variance if strict else self.most)
 
 
-class _PartialPixels(NamedTuple):
-    """The pixels of an image (H, W) that are neither 0 nor 1: places in the flat image, ascending,
-    rows and columns, values and weights."""
-
-    shape: tuple[int, int]
-    place: np.ndarray
-    row: np.ndarray
-    column: np.ndarray
-    value: np.ndarray
-    weight: np.ndarray
-
-    def where(self, chosen: np.ndarray) -> "_PartialPixels":
-        """Return some of them."""
-        return _PartialPixels(self.shape, *(x[chosen] for x in self[1:]))
-
-
-def _partial_pixels(target: np.ndarray, weights: np.ndarray) -> _PartialPixels:
-    """Return the pixels of a mask that are neither 0 nor 1."""
-    if target.dtype == bool:
-        place = np.zeros(0, int)
-    elif target.dtype == np.uint8:
-        place = np.flatnonzero(target - np.uint8(1) < 254)  # (0 becomes 255)
-    else:
-        place = np.flatnonzero((target != 0) & (target != 1))
-    row, column = np.divmod(place, target.shape[1])
-    value, weight = as_coverage(target[row, column]), weights[row, column]
-    return _PartialPixels(target.shape, place, row, column, value, weight)
-
-
 def kind_of(target: np.ndarray, weights: np.ndarray, dtype: Any) -> Kind:
     """Return the kind of a mask (see `check_target`) that is fitted in a float type."""
-    some = _partial_pixels(target, weights)
-    if not some.place.size or some.place.size < RULES.grey_share * len(beside(inside_of(target))):
+    grey = _grey_pixels(target)
+    if not grey.place.size or grey.place.size < RULES.grey_share * len(beside(inside_of(target))):
         uniform = (scale := _weight_at_edges(target, weights)) * UNIFORM
         return Kind("one bit", uniform, scale * RULES.hard, CUT_CORNERS * uniform, False)
     # A sum along a row of a fine mesh's mask is 1 to rounding only: one such pixel in an image is
     # not to make a computed mask a noisy one.
-    computed = target.dtype if np.issubdtype(target.dtype, np.floating) else dtype
-    single = min(np.dtype(x).itemsize for x in (dtype, computed)) < 8
-    quiet = RESOLVED[np.dtype(np.float32 if single else np.float64)]
-    noise, far, even, spread = _noise_far_from_edges(target, weights, some, quiet)
+    floats = [np.dtype(x) for x in (dtype, target.dtype) if np.issubdtype(x, np.floating)]
+    single = any(x.itemsize < 8 for x in floats)
+    quiet, resolved = RESOLVED[np.dtype(np.float32 if single else np.float64)], RESOLVED[floats[0]]
+    noise, far, even, spread = _noise_far_from_edges(target, weights, grey, quiet)
     threshold = max(4 * noise, 1e-3)
-    between = some.where(
-        (some.value > threshold) & (some.value < 1 - threshold) & (some.weight > 0)
-    )
-    count = between.place.size
-    scale = float(np.mean(between.weight)) if count else 1.0
+    weight = weights[grey.at]
+    used = (grey.value > threshold) & (grey.value < 1 - threshold) & (weight > 0)
+    between = Pixels(grey.shape, grey.place[used], grey.value[used])
+    scale = float(np.mean(weight[used])) if np.any(used) else 1.0
     # The least is rounding; the solver's last step may leave more.
-    rounding = ROUNDING * float(np.finfo(dtype).eps)
-    if np.issubdtype(target.dtype, np.floating):
-        rounding = max(rounding, float(np.finfo(target.dtype).eps))
+    rounding = max(ROUNDING * float(np.finfo(dtype).eps), *(float(np.finfo(x).eps) for x in floats))
     variance, step = _quantisation(between.value)
     least = scale * max(rounding**2, UNIFORM * step**2)
-    variance = scale * max(variance, rounding**2, RESOLVED[np.dtype(dtype)] ** 2)
-    if count and np.mean(_shorter_run(between) > 2) > RULES.wide_share:
+    variance = scale * max(variance, rounding**2, resolved**2)
+    if np.any(used) and np.mean(_shorter_run(between) > 2) > RULES.wide_share:
         width = _edge_width(target, between)
         # (Widths of 0.30, 0.48, 0.86 px, blurs of 0.5, 0.8, 1.5 px, leave 0.011, 0.056, 0.17.)
         left = (width**2 / 4 + noise**2) * scale
@@ -135,52 +103,52 @@ def kind_of(target: np.ndarray, weights: np.ndarray, dtype: Any) -> Kind:
         return Kind("noisy", variance, most, least, even, far, spread)
     # A renderer's 8 bits: some hundred samples a pixel, or its filter.
     most = RULES.times * (SAMPLED / 1024 * scale if step == 1 / 255 else variance)
-    indistinct = max(least, scale * RESOLVED[np.dtype(dtype)] ** 2)
-    return Kind("soft", variance, most, least, True, alike=indistinct)
+    return Kind("soft", variance, most, least, True, alike=max(least, scale * resolved**2))
 
 
-def _weights_near(
-    target: np.ndarray, weights: np.ndarray, reach: float
-) -> tuple[EdgeBand, np.ndarray]:
-    """Return the pixels near the mask's edge, and their weights."""
-    close = edge_band(inside_of(target), reach)
-    return close, weights[np.divmod(close.place, target.shape[1])]
+def _grey_pixels(target: np.ndarray) -> Pixels:
+    """Return the pixels of a mask that are neither 0 nor 1."""
+    if target.dtype == bool:
+        place = np.zeros(0, int)
+    elif target.dtype == np.uint8:
+        place = np.flatnonzero(target - np.uint8(1) < 254)  # (0 becomes 255)
+    else:
+        place = np.flatnonzero((target != 0) & (target != 1))
+    return Pixels(target.shape, place, as_coverage(target[np.divmod(place, target.shape[1])]))
 
 
 def _weight_at_edges(target: np.ndarray, weights: np.ndarray) -> float:
     """Return the mean weight of pixels at the mask's edge that have one, 1 if there are none."""
     if alike(weights):
         return float(weights.flat[0])
-    _, weight = _weights_near(target, weights, 1.0)
-    counted = weight[weight > 0]
-    return float(np.mean(counted)) if counted.size else 1.0
+    weight = weights[edge_band(inside_of(target), 1.0).at]
+    return float(np.mean(weight[weight > 0])) if np.any(weight) else 1.0
 
 
 def _noise_far_from_edges(
-    target: np.ndarray, weights: np.ndarray, some: _PartialPixels, quiet: float
+    target: np.ndarray, weights: np.ndarray, grey: Pixels, quiet: float
 ) -> tuple[float, float, bool, float]:
     """Return the standard deviation of pixels that are 0 or 1 for certain, the mean of their
     weighted squares, and whether the noise is the same everywhere. Last, if it is, the standard
     error of the sum of as many pixels as are not certain.
 
-    `some` are the pixels that are not 0 or 1: the others are off by nothing. What is off by `quiet`
-    at most is no noise.
+    Pixels that are not `grey` are off by nothing. What is off by `quiet` at most is no noise.
     """
-    close, weight = _weights_near(target, weights, RULES.beside)
-    is_close = looked_up(close.place, np.ones(len(close.place)), some.place, 0.0)
-    away = some.where((some.weight > 0) & (is_close == 0))
-    nearest = np.round(away.value)
-    off = away.value - nearest
+    band = edge_band(inside_of(target), RULES.beside)
+    weight = weights[grey.at]
+    away = (weight > 0) & ~np.isin(grey.place, band.place)
+    nearest = np.round(grey.value[away])
+    off = grey.value[away] - nearest
     off[np.abs(off) <= quiet] = 0
     squares = off**2
     if not np.any(squares):
         return 0.0, 0.0, True, 0.0
-    beside = int(np.count_nonzero(weight))
+    beside = int(np.count_nonzero(weights[band.at]))
     number = counted(weights) - beside
     mean = float(np.sum(squares)) / number
     even = float(np.sum(squares**2)) / number < 2 * RULES.times * mean**2
     clipped = np.all(off[nearest > 0] <= 0) and np.all(off[nearest <= 0] >= 0)
-    weighted = away.weight * squares
+    weighted = weight[away] * squares
     far = float(np.sum(weighted)) / number
     rest = number - weighted.size
     deviation = float((np.sum((weighted - far) ** 2) + rest * far**2) / number) ** 0.5
@@ -188,13 +156,13 @@ def _noise_far_from_edges(
     return (2 * mean if clipped else mean) ** 0.5, far, bool(even), float(even * spread)
 
 
-def _shorter_run(some: _PartialPixels) -> np.ndarray:
+def _shorter_run(some: Pixels) -> np.ndarray:
     """Return for each pixel how many of them stand beside one another in its row or in its column,
     the shorter way."""
-    (H, W), order = some.shape, np.lexsort((some.row, some.column))
-    down = np.zeros(len(order), int)
-    down[order] = _runs((some.column * (H + 1) + some.row)[order])
-    return np.minimum(_runs(some.row * (W + 1) + some.column), down)
+    (H, W), (row, column) = some.shape, some.at
+    order, down = np.lexsort((row, column)), np.zeros(len(row), int)
+    down[order] = _runs((column * (H + 1) + row)[order])
+    return np.minimum(_runs(row * (W + 1) + column), down)
 
 
 def _runs(ascending: np.ndarray) -> np.ndarray:
@@ -203,20 +171,15 @@ def _runs(ascending: np.ndarray) -> np.ndarray:
     return np.bincount(run.ravel())[run.ravel()]
 
 
-def _edge_width(target: np.ndarray, some: _PartialPixels) -> float:
+def _edge_width(target: np.ndarray, some: Pixels) -> float:
     """Return the integral of m (1 - m) across an edge, in px: 1/6 for a sharp one."""
-    slope = np.hypot(*(_slope(target, some, axis) for axis in (0, 1)))
-    return float(np.sum(some.value * (1 - some.value)) / max(float(np.sum(slope)), 1e-9))
-
-
-def _slope(target: np.ndarray, some: _PartialPixels, axis: int) -> np.ndarray:
-    """Return the slope along an axis at some pixels, as `np.gradient` has it."""
-    at = (some.row, some.column)
-    ends = [list(at), list(at)]
-    ends[0][axis] = np.maximum(at[axis] - 1, 0)
-    ends[1][axis] = np.minimum(at[axis] + 1, target.shape[axis] - 1)
-    before, after = (as_coverage(target[row, column]) for row, column in ends)
-    return (after - before) / np.maximum(ends[1][axis] - ends[0][axis], 1)
+    slopes, limit = [], np.array(target.shape)[:, None] - 1
+    for step in np.eye(2, dtype=int)[..., None]:  # as `np.gradient` has it
+        before, after = (np.clip(some.at + k * step, 0, limit) for k in (-1, 1))
+        rise = as_coverage(target[tuple(after)]) - as_coverage(target[tuple(before)])
+        slopes.append(rise / np.maximum(np.sum(after - before, axis=0), 1))
+    slope = float(np.sum(np.hypot(*slopes)))
+    return float(np.sum(some.value * (1 - some.value)) / max(slope, 1e-9))
 
 
 def _quantisation(values: np.ndarray) -> tuple[float, float]:

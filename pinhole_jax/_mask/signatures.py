@@ -40,6 +40,8 @@ def signatures(
     direction (rad, from the film's right to its top), nothing is known: the middle lies farther
     there, and the object is larger.
     """
+    from scipy.ndimage import map_coordinates
+
     images, weight = images[:, ::-1], weight[::-1]  # rows from the film's bottom
     N, H, W = images.shape
     x, y = (np.arange(W) + 0.5 - centre[0]) / focal[0], (np.arange(H) + 0.5 - centre[1]) / focal[1]
@@ -68,15 +70,9 @@ def signatures(
     column = ray[..., 0] / depth * focal[0] + centre[0] - 0.5
     row = ray[..., 1] / depth * focal[1] + centre[1] - 0.5
     inside = ahead & (column > -1) & (column < W) & (row > -1) & (row < H)
-    i, j = np.floor(column), np.floor(row)
-    a, b = column - i, row - j
-    n = np.arange(N)[:, None, None]
-    samples, known = np.zeros(column.shape), np.zeros(column.shape)
-    for di, dj in ((0, 0), (1, 0), (0, 1), (1, 1)):
-        part = np.where(di, a, 1 - a) * np.where(dj, b, 1 - b)
-        there = [np.clip(k, 0, size - 1).astype(int) for k, size in ((j + dj, H), (i + di, W))]
-        samples += part * images[n, there[0], there[1]]
-        known += part * weight[there[0], there[1]]
+    places = np.broadcast_arrays(np.arange(N)[:, None, None], row, column)
+    samples = map_coordinates(images, places, order=1, mode="nearest")
+    known = map_coordinates(weight, places[1:], order=1, mode="nearest")
     return Signature(np.where(inside, samples, 0), inside & (known > 0.5), total, axes)
 
 
