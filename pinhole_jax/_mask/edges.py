@@ -93,15 +93,15 @@ def edge_band(inside: np.ndarray, reach: float) -> Pixels:
 
     # From the farthest on, so that the nearest have the last word. (What is not written to of
     # zeros takes no time.)
-    around = np.zeros((H + 2 * margin, W + 2 * margin), np.uint16)
+    shape = H + 2 * margin, W + 2 * margin
+    seen = np.zeros(shape[0] * shape[1], np.uint16)
     row, column = np.divmod(edge, W)
-    start = row * around.shape[1] + column
-    shifts = (offsets + margin) @ [around.shape[1], 1]
+    start, shifts = row * shape[1] + column, (offsets + margin) @ [shape[1], 1]
     for k in disc[np.argsort(-squares[disc])]:
-        around.reshape(-1)[start + shifts[k]] = squares[k] + 1
-    seen = around[margin:-margin, margin:-margin]
-    place = np.flatnonzero(seen > 0)
-    return Pixels((H, W), place, np.sqrt(seen[np.divmod(place, W)] - 1.0))
+        seen[start + shifts[k]] = squares[k] + 1
+    place = np.flatnonzero(seen)
+    band = Pixels(shape, place, np.sqrt(seen[place] - 1.0))
+    return band.within(Window(margin, margin, W, H))
 
 
 def near_weights(inside: np.ndarray, weights: np.ndarray, window: Window, reach: float) -> Pixels:

@@ -7,6 +7,7 @@ correlation finds the roll at which each view comes closest to the mask.
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
+import jax
 import numpy as np
 
 from .._camera.axes import axes_of, sphere_points
@@ -39,10 +40,9 @@ def _seen_all_round(scene: Scene, ball: Ball, number: int, reach: float) -> _Vie
     Fits of one scene share these views: hence the steps of the distance.
     """
     reach = float(np.clip(REACH_STEP ** round(np.log(reach) / np.log(REACH_STEP)), NEAREST, 50))
-    parts = [np.array([number, reach])]
-    for part, names in (scene.mesh, ("vertices", "faces")), (scene.spheres, ("centers", "radii")):
-        parts += [] if part is None else [np.asarray(getattr(part, name)) for name in names]
-    return memoised(_views, *parts, given=(scene, ball, sphere_points(number), reach))
+    parts = map(np.asarray, jax.tree.leaves(scene))
+    given = scene, ball, sphere_points(number), reach
+    return memoised(_views, np.array([number, reach]), *parts, given=given)
 
 
 def _views(scene: Scene, ball: Ball, directions: np.ndarray, reach: float) -> _Views:

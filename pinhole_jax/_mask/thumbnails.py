@@ -31,12 +31,11 @@ def thumbnails(
 ) -> np.ndarray:
     """Return coverage (N, SIZE, SIZE), row 0 on top, seen from eyes (N, 3) with camera axes
     (N, 3, 3). Eyes are from the centre of the ball about the scene, in its radii."""
-    right, up, forward = np.moveaxis(axes, 1, 0)
     focal, middle = SIZE / (2 * np.tan(phi / 2)), SIZE / 2
-    matrix = np.stack([focal * right + middle * forward, focal * up + middle * forward, forward], 1)
-    view = np.broadcast_to(ball.centre, eyes.shape)
-    base = -ball.radius * np.einsum("nij,nj->ni", matrix, eyes)
-    arrays = view + ball.radius * eyes, view, matrix, base
+    matrix = np.array([[focal, 0, middle], [0, focal, middle], [0, 0, 1]]) @ axes
+    offset = ball.radius * eyes
+    base = -(matrix @ offset[..., None])[..., 0]
+    arrays = ball.centre + offset, np.broadcast_to(ball.centre, eyes.shape), matrix, base
     # (On the CPU where the library runs there.)
     cpu = jax.default_device(jax.devices("cpu")[0]) if is_available() else nullcontext()
     with cpu:
