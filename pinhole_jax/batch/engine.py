@@ -5,7 +5,6 @@ import multiprocessing
 import time
 from collections.abc import Generator, Iterable
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from typing import Any
 
@@ -50,7 +49,12 @@ def rows_of(
         while True:
             while idle and (record := again.pop() if again else next(waiting, None)) is not None:
                 place = idle.pop()
-                running[_submit(place, record, setup)] = record, place, time.monotonic()
+                try:
+                    future = place.submit(worker.run, record, setup)
+                except RuntimeError as error:  # (a broken pool's is one)
+                    words = NOT_STARTED if own else f"{NO_MORE}: {error}"
+                    raise RuntimeError(words) from error
+                running[future] = record, place, time.monotonic()
             if not running:
                 return
             for future in wait(running, 1.0, FIRST_COMPLETED).done:  # (Ctrl-C waits no longer)
@@ -66,6 +70,9 @@ def rows_of(
                 else:
                     tried.add(record["id"])
                     again.append(record)
+            for _, place, since in running.values():
+                if own and time.monotonic() - since > setup.patience:
+                    place.end()  # stuck outside Python; its future ends with it
     finally:
         for future in running:
             future.cancel()
@@ -85,14 +92,6 @@ def tracked_rows(records: Iterable[Record], setup: Setup) -> Generator[Row, None
         yield row
 
 
-def _submit(place: Any, record: Record, setup: Setup) -> Future[Row]:
-    own = isinstance(place, _Worker)
-    try:
-        return place.submit(worker.run_or_end if own else worker.run, record, setup)
-    except RuntimeError as error:  # (a broken pool's is one)
-        raise RuntimeError(NOT_STARTED if own else f"{NO_MORE}: {error}") from error
-
-
 class _Worker:
     """A process that has one record at a time, and is started anew after a crash."""
 
@@ -103,14 +102,14 @@ class _Worker:
 
     def _begin(self) -> None:
         self._pool = self._new()
-        self._ready = self._pool.submit(worker.ready)
+        self._ready = self._pool.submit(int)
 
     def submit(self, *call: Any) -> Future[Row]:
         """Hand over a call when the process has started; return its result's future."""
         self._ready.result()
         try:
             return self._pool.submit(*call)
-        except BrokenProcessPool:
+        except RuntimeError:  # it has ended
             self._begin()
             return self.submit(*call)
 

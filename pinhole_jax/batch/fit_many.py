@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from ..names import STATUSES
 from .engine import rows_of, tracked_rows
-from .parts import Results, Writer, digest
+from .parts import Results, Writer
 from .records import Record, check_id, plain_record, settings_of, shard_of
 from .rows import NO_FIT, Row
 from .worker import TOKEN, Setup
@@ -109,18 +109,12 @@ def fit_many(
         results = pj.fit_many(records, executor=threads, out="results")
     ```
     """
-    _check(
-        items=items,
-        executor=executor,
-        workers=workers,
-        shard=shard,
-        time_limit=time_limit,
-        retry=retry,
-    )
+    _check(items, executor, workers, shard, time_limit, retry)
     if track and executor is not None:
         raise ValueError("`executor`: expected None with `track`, got one")
     results = None if out is None else Results(out)
-    done = {} if results is None else results.settings(but=retry)
+    there = (row for row in results or () if row["status"] not in retry)
+    done = {row["id"]: _settings_key(json.loads(row["record"])) for row in there}
     is_done = partial(_is_done, done=done, results=results)
     total, before = None, 0
     if not isinstance(items, Iterator):  # all ids are checked: none ends a run of hours
@@ -157,44 +151,41 @@ def fit_many(
     return [*rows_by_id.values()] if results is None else results
 
 
-def _is_count(value: object) -> bool:
-    """Return True for an integer of at least 1."""
-    return isinstance(value, int) and not isinstance(value, bool) and value >= 1
-
-
-def _is_shard(value: Any) -> bool:
-    pair = isinstance(value, tuple) and len(value) == 2 and all(map(_is_count, value))
-    return pair and value[0] <= value[1]
-
-
-#: A test of each argument, and what it expects.
-KNOWN = (*STATUSES, *NO_FIT)
-CHECKS: dict[str, tuple[Callable[[Any], bool], str]] = {
-    "items": (
-        lambda x: isinstance(x, Iterable) and not isinstance(x, str | Mapping),
-        "records, one after another",
-    ),
-    "executor": (
-        lambda x: x is None or isinstance(x, Executor),
-        "a concurrent.futures.Executor",
-    ),
-    "workers": (lambda x: x is None or _is_count(x), "an integer of at least 1"),
-    "shard": (_is_shard, "(i, n) with i from 1 to n"),
-    "time_limit": (
-        lambda x: x is None or (isinstance(x, int | float) and x > 0),
-        "positive seconds",
-    ),
-    "retry": (
-        lambda x: not isinstance(x, str) and {*x} <= {*KNOWN},
-        f"a list of statuses among {', '.join(KNOWN)}",
-    ),
-}
-
-
-def _check(**arguments: Any) -> None:
-    for name, value in arguments.items():
-        is_right, expected = CHECKS[name]
-        if not is_right(value):
+def _check(
+    items: Any, executor: Any, workers: Any, shard: Any, time_limit: Any, retry: Any
+) -> None:
+    known, is_count = (*STATUSES, *NO_FIT), lambda x: type(x) is int and x >= 1
+    pair = shard if isinstance(shard, tuple) and len(shard) == 2 else (2, 1)
+    one_by_one = isinstance(items, Iterable) and not isinstance(items, str | Mapping)
+    for name, value, is_right, expected in (
+        ("items", items, one_by_one, "records, one after another"),
+        (
+            "executor",
+            executor,
+            executor is None or isinstance(executor, Executor),
+            "a concurrent.futures.Executor",
+        ),
+        ("workers", workers, workers is None or is_count(workers), "an integer of at least 1"),
+        (
+            "shard",
+            shard,
+            all(map(is_count, pair)) and pair[0] <= pair[1],
+            "(i, n) with i from 1 to n",
+        ),
+        (
+            "time_limit",
+            time_limit,
+            time_limit is None or (isinstance(time_limit, int | float) and time_limit > 0),
+            "positive seconds",
+        ),
+        (
+            "retry",
+            retry,
+            not isinstance(retry, str) and {*retry} <= {*known},
+            f"a list of statuses among {', '.join(known)}",
+        ),
+    ):
+        if not is_right:
             raise ValueError(f"`{name}`: expected {expected}, got {value!r}")
 
 
@@ -211,15 +202,20 @@ def _shard_records(items: Iterable[Record], shard: tuple[int, int]) -> Iterator[
             yield record
 
 
-def _is_done(record: Record, done: Mapping[str, bytes], results: Results | None) -> bool:
+def _settings_key(record: Record) -> int:
+    """Return a number that tells a plain record's settings from others."""
+    return hash(json.dumps(settings_of(record), sort_keys=True))
+
+
+def _is_done(record: Record, done: Mapping[str, int], results: Results | None) -> bool:
     """Return True for a finished record; raise ValueError if its settings have changed."""
     id = record["id"]
     if results is None or id not in done:
         return False
-    now = settings_of(plain_record(record))
-    if done[id] == digest(now):
+    plain = plain_record(record)
+    if done[id] == _settings_key(plain):
         return True
-    then = settings_of(json.loads(results.row(id)["record"]))
+    now, then = settings_of(plain), settings_of(json.loads(results.row(id)["record"]))
     other = next(name for name in now | then if now.get(name) != then.get(name))
     values = f"{brief(then.get(other))}, and now {brief(now.get(other))}"
     words = f"expected unchanged records, got {id!r}, whose {other!r} was {values}"

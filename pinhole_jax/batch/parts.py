@@ -1,6 +1,5 @@
 """Rows on disk, in parts that appear whole or not at all: the record of finished work."""
 
-import hashlib
 import itertools
 import json
 import os
@@ -12,7 +11,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 from .._files.paths import replace_file
-from .records import Record, settings_of
 from .rows import Row, line_of, row_of
 
 #: A part is written after this many rows or seconds: a crash loses no more.
@@ -56,12 +54,17 @@ class Writer:
 
 
 class _Place(NamedTuple):
-    """A row's part, the bytes before it there, its status, and a digest of its settings."""
+    """A row's part, the bytes before it there, and its status."""
 
     path: Path
     offset: int
     status: str
-    settings: bytes
+
+    def row(self) -> Row:
+        """Return the row."""
+        with open(self.path, "rb") as stream:
+            stream.seek(self.offset)
+            return row_of(stream.readline().decode())
 
 
 class Results:
@@ -85,19 +88,14 @@ class Results:
 
     def ids(self, but: Collection[str] = ()) -> set[str]:
         """Return the ids of all rows, except those with the statuses `but`."""
-        return {*self.settings(but)}
-
-    def settings(self, but: Collection[str] = ()) -> dict[str, bytes]:
-        """Return a digest of each record's settings by id, except for the statuses `but`."""
-        places = self._places().items()
-        return {id: place.settings for id, place in places if place.status not in but}
+        return {id for id, place in self._places().items() if place.status not in but}
 
     def __len__(self) -> int:
         return len(self._places())
 
     def __iter__(self) -> Iterator[Row]:
         places = self._places()
-        return (_row_at(places[id]) for id in sorted(places))
+        return (places[id].row() for id in sorted(places))
 
     def rows(self, ids: Iterable[str]) -> list[Row]:
         """Return the rows of these ids, in their order; raise ValueError for an unknown id."""
@@ -105,7 +103,7 @@ class Results:
         if missing := [id for id in wanted if id not in places]:
             words = f"expected one of the rows in {str(self.folder)!r}, got {missing[0]!r}"
             raise ValueError(f"`id`: {words}")
-        return [_row_at(places[id]) for id in wanted]
+        return [places[id].row() for id in wanted]
 
     def row(self, id: str) -> Row:
         """Return the row of an id; raise ValueError for an unknown id."""
@@ -122,29 +120,12 @@ class Results:
             offset = 0
             with open(path, "rb") as stream:
                 for line in stream:
-                    id, status, settings = _head(line, path)
-                    places[id] = _Place(path, offset, status, settings)
+                    try:
+                        row = json.loads(line)
+                        places[row["id"]] = _Place(path, offset, row["status"])
+                    except (ValueError, KeyError, TypeError):
+                        words = f"expected rows of `fit_many`, got {path.name}"
+                        cure = "if it is damaged, delete it: its records are fitted again"
+                        raise ValueError(f"`out`: {words}; {cure}") from None
                     offset += len(line)
         return places
-
-
-def digest(settings: Record) -> bytes:
-    """Return a short digest of a record's settings."""
-    return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).digest()[:8]
-
-
-def _row_at(place: _Place) -> Row:
-    with open(place.path, "rb") as stream:
-        stream.seek(place.offset)
-        return row_of(stream.readline().decode())
-
-
-def _head(line: bytes, path: Path) -> tuple[str, str, bytes]:
-    """Return a row's id and status, and the digest of its record's settings."""
-    try:
-        row = json.loads(line)
-        return row["id"], row["status"], digest(settings_of(json.loads(row["record"])))
-    except (ValueError, KeyError, TypeError, AttributeError):
-        words = f"expected rows of `fit_many`, got {path.name}"
-        cure = "if it is damaged, delete it: its records are fitted again"
-        raise ValueError(f"`out`: {words}; {cure}") from None

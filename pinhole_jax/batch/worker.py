@@ -5,7 +5,6 @@ Nothing here imports NumPy or JAX at the top: a worker's core is chosen before t
 
 import contextlib
 import ctypes
-import faulthandler
 import math
 import os
 import secrets
@@ -22,8 +21,8 @@ from .fit_one import fit_one
 from .records import Record
 from .rows import Row, empty_row
 
-#: A worker of our own that is stuck outside Python ends itself after this many times a record's
-#: limit, and this many seconds.
+#: A worker of our own that is stuck outside Python is ended after this many times a record's limit,
+#: and this many seconds.
 PATIENCE, GRACE = 2.0, 30.0
 
 #: This process's token: no other has it.
@@ -47,7 +46,7 @@ class Setup(NamedTuple):
 
     @property
     def patience(self) -> float:
-        """Return the time (s) after which a stuck worker ends itself."""
+        """Return the time (s) after which a stuck worker is ended."""
         return math.inf if self.limit is None else PATIENCE * self.limit + GRACE
 
 
@@ -80,10 +79,6 @@ def _end_with(process: Any) -> None:
     os._exit(1)
 
 
-def ready() -> None:
-    """Do nothing: a worker that gets here can work."""
-
-
 def run(record: Record, setup: Setup, last: Any = None) -> Row:
     """Return a record's row within its time limit. (`last`: see `fit_one`.)"""
     _set_up(setup)
@@ -94,18 +89,6 @@ def run(record: Record, setup: Setup, last: Any = None) -> Row:
     except TimeLimit:
         seconds = time.perf_counter() - start
         return empty_row(record, "timed_out", f"took more than {setup.limit:g} s", seconds)
-
-
-def run_or_end(record: Record, setup: Setup) -> Row:
-    """Return a record's row, or end this process if it is stuck outside Python."""
-    if setup.limit is None:
-        return run(record, setup)
-    with open(os.devnull, "w") as nowhere:
-        faulthandler.dump_traceback_later(setup.patience, exit=True, file=nowhere)
-        try:
-            return run(record, setup)
-        finally:
-            faulthandler.cancel_dump_traceback_later()
 
 
 def _set_up(setup: Setup) -> None:
