@@ -257,7 +257,7 @@ def test_page_gets_mesh_and_photo(workpiece, scene):
 
 def one_session() -> session.Session:
     mask = np.random.default_rng(1).integers(0, 256, (H, W), dtype=np.uint8)
-    work = (Stroke("object", 2.5, ((3.0, 4.25), (1.0, 2.0))), LoadedMask(mask))
+    work = (Stroke("object", 2.5, ((3.0, 4.25), (1.0, 2.0))), LoadedMask(png(mask)))
     lines = (((1.0, 2.0), (3.0, 4.0)),)
     return session.Session("part.obj", "photo.png", camera(BENT), ("pose", "phi"), work, lines)
 
@@ -265,12 +265,9 @@ def one_session() -> session.Session:
 def test_session_comes_back_from_its_text():
     was = one_session()
     again = session.session_from_text(session.session_to_text(was))
-    loaded = again.work[1].mask
-    assert_array_equal(loaded, was.work[1].mask)
     for a, b in zip(jax.tree.leaves(again.camera), jax.tree.leaves(was.camera), strict=True):
         assert_array_equal(a, b)
-    work = (again.work[0], was.work[1])
-    assert again._replace(camera=was.camera, work=work) == was
+    assert again._replace(camera=was.camera) == was
 
 
 def stroke(**changes):

@@ -7,20 +7,18 @@ from typing import Any
 
 import pinhole_jax as pj
 
-from .. import Fit, formats, io, report
-from .._files.naming import named
+from .. import Fit, formats, report
 from .._files.progress import Clock, Ticker
 from ..batch.inputs import read_inputs
 from ..plot import disagreement, overlay
 from .options import record_of
-from .outputs import check_outputs, written_words
+from .outputs import check_outputs, write_results
 
 
 def run(options: argparse.Namespace, progress: Ticker) -> int:
     """Fit, print and write; return 0, or 1 for a fit not to trust."""
     clock = progress.clock = Clock()
-    written = [Path(options.output) / name for name in ("camera.json", "overlay.png")]
-    check_outputs(output=written[0], report=options.report)
+    check_outputs(output=Path(options.output) / "camera.json", report=options.report)
     if options.refine and options.image is None:
         raise ValueError("`refine`: expected a photo, got none: add --image PHOTO")
     inputs = read_inputs(record_of(options), progress.tell)
@@ -33,20 +31,12 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
 
     progress.say("drawing")
     drawing = overlay(picture, fit.camera, scene)
-    finite = fit.status != "non_finite"
-    notes = disagreement(fit.camera, scene, mask) if finite else ()
+    notes = () if fit.status == "non_finite" else disagreement(fit.camera, scene, mask)
     progress.done()
     _print(fit, notes, clock, centres)
-    written += [options.report] if options.report is not None and finite else []
-    words = written_words(written)
-    with named(path="output"):
-        io.save_fit(written[0], fit, pixel_centres=centres)
-        io.save_image(written[1], drawing)
-    for path in written[2:]:
-        title = f"Camera of {Path(options.mesh).name} from {Path(options.mask).name}"
-        with Ticker("drawing the page"), named(path="report"):
-            report.write(path, fit, scene, mask, picture, title, pixel_centres=centres)
-    print(words)
+    title = f"Camera of {Path(options.mesh).name} from {Path(options.mask).name}"
+    page = lambda: report.page(fit, scene, mask, picture, title, pixel_centres=centres)
+    write_results(options, fit, {"overlay.png": drawing}, page)
     return 0 if fit.status == "converged" else 1
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from .. import Camera, JointFit, JointView, fit_joint, io, split_check
+from .. import Camera, JointFit, JointView, fit_joint, split_check
 from .._files.naming import named
 from .._files.progress import Clock, Ticker
 from ..batch.inputs import poseless_camera, read_mask, read_photo, read_start
@@ -17,7 +17,7 @@ from ..robots import Robot, load_urdf
 from ..show.robot_page import robot_page
 from .joints import joint_angles
 from .options import record_of
-from .outputs import check_outputs, written_words
+from .outputs import check_outputs, write_results
 from .proposals import Sight, best_postures, worths
 
 
@@ -61,7 +61,20 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
         print(f"recorded   {_most_worth(fit)}")
         print(f"proposed   {helpful}")
     with Ticker("drawing"):
-        _write(options, fit, masks, pictures, {"halves": halves, "proposed": helpful})
+        drawn = zip(fit.views, pictures, strict=True) if finite else ()
+        drawings = [overlay(picture, view.camera, view.scene) for view, picture in drawn]
+    page = lambda: robot_page(
+        fit,
+        masks,
+        pictures,
+        [Path(name).name for name in options.masks],
+        frame=options.in_hand or "the base",
+        halves=halves,
+        proposed=helpful,
+        pixel_centres=options.pixel_centres,
+    )
+    named_drawings = {f"overlay_{k}.png": drawing for k, drawing in enumerate(drawings)}
+    write_results(options, fit.cameras["camera"]._replace(status=fit.status), named_drawings, page)
     return 0 if fit.status == "converged" else 1
 
 
@@ -150,33 +163,3 @@ def _pictures(options: argparse.Namespace, masks: list[np.ndarray]) -> list[np.n
             f"`images`: expected one for each of {len(masks)} masks, got {len(options.images)}"
         )
     return [read_photo(path, mask) for path, mask in zip(options.images, masks, strict=True)]
-
-
-def _write(
-    options: argparse.Namespace,
-    fit: JointFit,
-    masks: list[np.ndarray],
-    pictures: list[np.ndarray],
-    sentences: dict[str, str | None],
-) -> None:
-    """Write the camera, each picture with the outline on it, and the page; say so."""
-    folder, centres = Path(options.output), options.pixel_centres
-    finite = fit.status != "non_finite"
-    drawings = [folder / f"overlay_{k}.png" for k in range(len(masks) * finite)]
-    written = [folder / "camera.json", *drawings]
-    written += [Path(options.report)] if options.report is not None and finite else []
-    words = written_words(written)
-    with named(path="output"):
-        fitted = fit.cameras["camera"]._replace(status=fit.status)
-        io.save_fit(written[0], fitted, pixel_centres=centres)
-        for path, view, picture in zip(drawings, fit.views, pictures, strict=False):
-            io.save_image(path, overlay(picture, view.camera, view.scene))
-    for path in written[1 + len(drawings) :]:
-        names = [Path(name).name for name in options.masks]
-        frame = options.in_hand or "the base"
-        page = robot_page(
-            fit, masks, pictures, names, frame=frame, pixel_centres=centres, **sentences
-        )
-        with named(path="report"):
-            io.save_text(path, page)
-    print(words)

@@ -2,7 +2,7 @@
 
 import csv
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 from ..io import load_json, load_text
 from ..robots import Robot
@@ -16,14 +16,6 @@ UNITS: dict[str, float] = {
 BEYOND = 0.1
 
 
-class JointTable(NamedTuple):
-    """A file's rows of joint angles, and its unit in rad."""
-
-    names: list[str]
-    rows: list[list[float]]
-    unit: float
-
-
 def joint_angles(path: str, robot: Robot) -> list[dict[str, float]]:
     """Return a file's postures: angles by joint (rad; of sliding joints m).
 
@@ -31,14 +23,14 @@ def joint_angles(path: str, robot: Robot) -> list[dict[str, float]]:
     perhaps `unit`. Raises FileNotFoundError, or ValueError for other files, and for angles beyond
     the reach of the robot's joints, as degrees usually are.
     """
-    table = _table(path)
-    postures = []
-    for number, row in enumerate(table.rows, 1):
+    names, *rows = _rows(data := _data(path), path)
+    unit, postures = _unit(data, path), []
+    for number, row in enumerate(rows, 1):
+        values = _numbers(row, number, len(names), path)
         posture = {}
-        for name, value in zip(table.names, row, strict=True):
-            value *= 1.0 if name in robot.sliding else table.unit
-            _check_reach(robot, name, value, f"row {number} of {path!r}")
-            posture[name] = value
+        for name, value in zip(map(str, names), values, strict=True):
+            posture[name] = value * (1.0 if name in robot.sliding else unit)
+            _check_reach(robot, name, posture[name], f"row {number} of {path!r}")
         postures.append(posture)
     return postures
 
@@ -61,23 +53,24 @@ def _check_reach(robot: Robot, name: str, value: float, where: str) -> None:
     )
 
 
-def _table(path: str) -> JointTable:
-    """The joints' names, angles and unit in a CSV or JSON file."""
-    data: dict[str, Any] = {}
+def _data(path: str) -> dict[str, Any]:
+    """Return a file's data: of a CSV `names` and `postures`, as JSON has them."""
     if path.lower().endswith(".json"):
-        content = load_json(path)
-        data = content if isinstance(content, dict) else {}
-        postures = data.get("postures")
-        rows = [data.get("names"), *(postures if isinstance(postures, list) else [])]
-    else:
-        lines = load_text(path).splitlines()
-        rows = [[cell.strip() for cell in row] for row in csv.reader(lines) if row]
+        data = load_json(path)
+        return data if isinstance(data, dict) else {}
+    lines = csv.reader(load_text(path).splitlines())
+    names, *postures = [[cell.strip() for cell in row] for row in lines if row] or [None]
+    return {"names": names, "postures": postures}
+
+
+def _rows(data: dict[str, Any], path: str) -> list[list[Any]]:
+    """Return the names, and at least one row of angles below them."""
+    postures = data.get("postures")
+    rows = [data.get("names"), *(postures if isinstance(postures, list) else [])]
     if len(rows) < 2 or not all(isinstance(row, list) and row for row in rows):
         words = "a line of joint names (JSON: names, postures) and at least one of angles"
         raise ValueError(f"`path`: expected {words}, got none (in {path!r})")
-    names, *postures = rows
-    numbers = [_numbers(row, number, len(names), path) for number, row in enumerate(postures, 1)]
-    return JointTable([str(name) for name in names], numbers, _unit(data, path))
+    return rows
 
 
 def _unit(data: dict[str, Any], path: str) -> float:

@@ -1,13 +1,18 @@
 """Files that a command writes: checked before the work begins, and named after it."""
 
+import argparse
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from .. import Fit, io
 from .._files.naming import named
 from .._files.paths import check_writable, is_stream
+from .._files.progress import Ticker
 
 
 def check_outputs(**options: Any) -> None:
@@ -27,6 +32,27 @@ def replacement_words(paths: Sequence[str | Path]) -> str:
 def written_words(paths: Sequence[str | Path]) -> str:
     """Return the line about files to write, and which of them are replaced."""
     return f"written    {', '.join(map(str, paths))}{replacement_words(paths)}"
+
+
+def write_results(
+    options: argparse.Namespace,
+    fit: Fit,
+    drawings: Mapping[str, np.ndarray],
+    page: Callable[[], str],
+) -> None:
+    """Write a camera, drawings by the names of their files, and a page if there is --report and
+    the camera is finite; say so."""
+    folder, report = Path(options.output), options.report if fit.status != "non_finite" else None
+    written = [folder / name for name in ("camera.json", *drawings)]
+    words = written_words([*written, *[report] * (report is not None)])
+    with named(path="output"):
+        io.save_fit(written[0], fit, pixel_centres=options.pixel_centres)
+        for path, drawing in zip(written[1:], drawings.values(), strict=True):
+            io.save_image(path, drawing)
+    if report is not None:
+        with Ticker("drawing the page"), named(path="report"):
+            io.save_text(report, page())
+    print(words)
 
 
 @contextmanager

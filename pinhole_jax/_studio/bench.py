@@ -31,6 +31,7 @@ from .strokes import (
     guess_mask,
     guides_around,
     mask_of,
+    png_of,
     stroke_of,
     strokes_of,
 )
@@ -251,7 +252,7 @@ class Bench:
         if mask.shape != (H, W):
             size = f"{mask.shape[1]} x {mask.shape[0]}"
             raise ValueError(f"`mask`: expected the photo's size {W} x {H}, got {size}")
-        return self._push_work((*self.session.work, LoadedMask(mask)))
+        return self._push_work((*self.session.work, LoadedMask(png_of(mask))))
 
     def fit(self, free: Sequence[str], search: bool = False, refine: bool = False) -> Answer:
         """Fit the camera to the mask, from the current view or (`search`) from all views; then,

@@ -10,7 +10,7 @@ from ..batch.inputs import Start, numbers_of, poseless_camera
 from ..io import camera_from_dict, camera_to_dict
 from ..names import FREE
 from .hand import frame_object
-from .strokes import Work, work_from_list, work_to_list
+from .strokes import Work, work_from_list
 from .workpiece import Workpiece
 
 SCHEMA = "pinhole_jax.studio/1"
@@ -64,8 +64,8 @@ def session_to_text(session: Session) -> str:
         "camera": camera_to_dict(session.camera),
         "free": list(session.free),
         "known_phi": session.known_phi,
-        "strokes": work_to_list(session.work),
-        "lines": [[[*map(float, end)] for end in line] for line in session.lines],
+        "strokes": [step._asdict() for step in session.work],
+        "lines": session.lines,
     }
     return json.dumps(data, indent=1, allow_nan=False) + "\n"
 

@@ -7,6 +7,7 @@ import base64
 import itertools
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from functools import lru_cache
 from io import BytesIO
 from reprlib import repr as brief
 from typing import Any, NamedTuple
@@ -33,17 +34,17 @@ MOST_PX = 1e6
 
 
 class Stroke(NamedTuple):
-    """A line through points, drawn with a round brush of a radius (px); `kind` is in `KINDS`."""
+    """A line through points, drawn with a round brush; `kind` is in `KINDS`."""
 
     kind: str
-    radius: float
+    radius_px: float
     points: tuple[tuple[float, float], ...]
 
 
 class LoadedMask(NamedTuple):
-    """A mask from a file (H, W), uint8, 255 on the object; it replaces all strokes before it."""
+    """A mask from a file, as `png_of` has it; it replaces all strokes before it."""
 
-    mask: np.ndarray
+    mask: str
 
 
 Work = tuple[Stroke | LoadedMask, ...]
@@ -59,7 +60,7 @@ def draw_strokes(
     image = Image.fromarray(picture)
     draw = ImageDraw.Draw(image)
     for stroke in strokes:
-        value, radius = values[stroke.kind], max(stroke.radius, 0.5)
+        value, radius = values[stroke.kind], max(stroke.radius_px, 0.5)
         # Pillow's places are those of pixels' centres.
         points = [(x - 0.5, y - 0.5) for x, y in stroke.points]
         for before, after in itertools.pairwise(points):
@@ -95,7 +96,7 @@ def mask_of(work: Work, guess: np.ndarray | None, W: int, H: int) -> np.ndarray 
     `guess` is `guess_mask` of the guides since the last loaded mask.
     """
     loaded = [step.mask for step in work if isinstance(step, LoadedMask)]
-    mask = loaded[-1] if loaded and guess is None else guess
+    mask = pixels_of(loaded[-1]) if loaded and guess is None else guess
     painted = strokes_of(work, PAINTS)
     if not painted:
         return mask
@@ -178,18 +179,16 @@ def png_of(mask: np.ndarray) -> str:
     return base64.b64encode(data.getvalue()).decode()
 
 
-def work_to_list(work: Work) -> list[dict[str, Any]]:
-    """Return strokes and masks as JSON-ready values; masks are PNG files in base64."""
-    return [
-        {"mask": png_of(step.mask)}
-        if isinstance(step, LoadedMask)
-        else {"kind": step.kind, "radius_px": step.radius, "points": [[*p] for p in step.points]}
-        for step in work
-    ]
+@lru_cache(2)
+def pixels_of(png: str) -> np.ndarray:
+    """Return the mask (H, W) of `png_of`."""
+    from PIL import Image
+
+    return np.asarray(Image.open(BytesIO(base64.b64decode(png)), formats=("PNG",)))
 
 
 def work_from_list(data: Any, W: int, H: int) -> Work:
-    """Return the work of `work_to_list` for a picture of this size, or raise ValueError."""
+    """Return the work of a session's file for a picture of this size, or raise ValueError."""
     if not isinstance(data, list) or len(data) > MOST_STROKES:
         raise ValueError("`strokes`: expected a list of strokes and masks")
     has_mask = lambda step: isinstance(step, dict) and "mask" in step
@@ -211,12 +210,10 @@ def stroke_of(data: Any) -> Stroke:
 
 def _loaded(text: Any, W: int, H: int) -> LoadedMask:
     """The mask (H, W) in a PNG in base64, or a ValueError."""
-    from PIL import Image
-
     try:
-        mask = np.asarray(Image.open(BytesIO(base64.b64decode(text)), formats=("PNG",)))
+        mask = pixels_of(text)
     except Exception as error:  # the reader raises many kinds
         raise ValueError(f"`mask`: expected a PNG file in base64, got none: {error}") from None
     if mask.dtype != np.uint8 or mask.shape != (H, W):
         raise ValueError(f"`mask`: expected 8 bits, {W} x {H} px, got shape {mask.shape}")
-    return LoadedMask(mask)
+    return LoadedMask(text)

@@ -2,7 +2,7 @@
 and sentences.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -48,37 +48,39 @@ def outline_sigma(fit: Fit, scene: Scene) -> Float[np.ndarray, "n"]:
     from scipy.spatial import KDTree
 
     check_fit(fit)
-    camera, known = fit.camera, np.flatnonzero(np.isfinite(fit.std))
-    segments = outline(camera, scene)
-    if not known.size or not len(segments):
-        return np.zeros(len(segments))
+    camera, segments = fit.camera, outline(fit.camera, scene)
+    if not len(segments):
+        return np.zeros(0)
     place = lambda camera: np.asarray(project(camera, points), float)
     points = np.asarray(contour_points(camera, scene), camera.e.dtype)
     points = points[KDTree(place(camera)).query(segments.mean(axis=1))[1]]
     far = float(np.linalg.norm(np.mean(points - np.asarray(camera.e), axis=0)))
     along = segments[:, 1] - segments[:, 0]
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-30)
-    total = np.zeros(len(segments))
-    for change in sigma_moves(fit, place, far):
-        total += (change[:, 0] * along[:, 1] - change[:, 1] * along[:, 0]) ** 2
-    return np.sqrt(total)
+    across = sigma_moves(fit, place, far) @ [[0, -1], [1, 0]]
+    return np.linalg.norm(np.sum(across * along, axis=-1), axis=0)
 
 
 def sigma_moves(
     fit: Fit, value: Callable[[Camera], np.ndarray], far: float
-) -> Iterator[np.ndarray]:
-    """Yield the change of a camera's values by one sigma along each principal axis of its
-    covariance, to first order; the object is `far` away (world units)."""
+) -> Float[np.ndarray, "k n d"]:
+    """Return the changes of a camera's values (n, d) by one sigma along each principal axis of its
+    covariance, to first order; the object is `far` away (world units).
+
+    Parameters that the mask does not determine are left out; a change of 0 comes first.
+    """
     known = np.flatnonzero(np.isfinite(fit.std))
     large = {"e": far, "d": float(fit.camera.d), "principal": fit.camera.H}
     small = 1e-3 * np.array([large.get(name.split("_")[0], 1.0) for name in fit.names])
     variance, axes = np.linalg.eigh(fit.covariance[np.ix_(known, known)])
+    changes = [0 * value(fit.camera)]
     for size, axis in zip(np.sqrt(np.maximum(variance, 0)), axes.T, strict=True):
         step = np.zeros(len(fit.std))
         step[known] = size * axis
         share = 1 / max(float(np.max(np.abs(step) / small)), 1)  # within the linear range
         ends = (value(fit.displaced(sign * share * step)) for sign in (1, -1))
-        yield np.subtract(*ends) / 2 / share
+        changes.append(np.subtract(*ends) / 2 / share)
+    return np.stack(changes)
 
 
 def overlay(

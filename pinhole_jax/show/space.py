@@ -1,12 +1,12 @@
 """The object and the camera in space, seen from the side."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from .. import Camera, Scene, camera_basis, rays_through
+from .. import Camera, Rays, Scene, camera_basis, rays_through, trace
 from .page import Svg
 
 #: The viewer's angles above and behind the camera's line of sight (rad).
@@ -16,23 +16,52 @@ ABOVE, BEHIND = 0.44, 0.35
 SIDE, LEAST_COSINE = 16, 0.2
 #: Width, height and margin of a frustum's picture (px).
 W, H, ROOM = 240, 170, 16.0
-#: The film's corners, and the world's axes with their colours.
-CORNERS = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+#: The world's axes with their colours.
 WORLD = (("x", "#d9691e"), ("y", "#3a9a4b"), ("z", "#2f6fb0"))
 TEAL, GREY = "#008573", "#8fa1ad"
-#: The colours of `scene_view`: faces, spheres and their border, the camera, the film, the ground.
-FACE, BALL, RIM = (214, 196, 168), (196, 180, 154), (120, 105, 80)
-LINE, FILM, GROUND = (0, 107, 138), (0, 150, 190, 28), (250, 251, 253)
+#: The colours of `scene_view`: the object, the camera, the film, the ground.
+FACE, LINE, FILM, GROUND = (214, 196, 168), (0, 107, 138), (0, 150, 190, 28), (250, 251, 253)
 
 Points = Float[np.ndarray, "n 3"]
+
+
+class Sheet(NamedTuple):
+    """A parallel view on paper: px (x right, y down) from points of the world, and back.
+
+    `axes` are the sheet's right and down and the way towards the viewer, `scale` is in px a unit.
+    """
+
+    axes: Float[np.ndarray, "3 3"]
+    scale: float
+    shift: Float[np.ndarray, "2"]
+
+    @classmethod
+    def from_aside(
+        cls, camera: Camera, spread: Points, size: tuple[int, int], room: float
+    ) -> "Sheet":
+        """Return the view of a camera from behind and above it, with all of `spread` on paper of
+        this size and margin (px)."""
+        b1, b2, v = axes_of(camera)
+        aside = np.cos(BEHIND) * b1 - np.sin(BEHIND) * v
+        back = np.cos(ABOVE) * aside + np.sin(ABOVE) * b2
+        right = np.cross(b2, back)
+        right /= np.linalg.norm(right)
+        axes = np.stack([right, np.cross(right, back), back])
+        low, high = (spread @ axes[:2].T).min(axis=0), (spread @ axes[:2].T).max(axis=0)
+        scale = float(np.min((np.array(size) - 2 * room) / np.maximum(high - low, 1e-30)))
+        return cls(axes, scale, np.array(size) / 2 - scale * (low + high) / 2)
+
+    def place(self, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
+        """Return the places of points."""
+        return self.scale * points @ self.axes[:2].T + self.shift
 
 
 def scene_view(camera: Camera, scene: Scene, size: int = 800) -> np.ndarray:
     """Return a parallel view, RGB uint8 (3/4 size, size, 3), of the object and the camera.
 
     The frustum reaches to the film through the object's middle; its tick points up. Distortion
-    bends it as it bends rays through the film's border. Faces are painted from back to front,
-    shaded by their angle to the view.
+    bends it as it bends rays through the film's border. Faces are shaded by their angle to the
+    view.
 
     ```python
     space = pj.plot.scene_view(fit.camera, scene, size=200)
@@ -40,29 +69,37 @@ def scene_view(camera: Camera, scene: Scene, size: int = 800) -> np.ndarray:
     """
     from PIL import Image, ImageDraw
 
-    axes, eye = axes_of(camera), np.asarray(camera.e, float)
-    points = points_of(scene)
-    middle = points.mean(axis=0)
-    depth = max(float((middle - eye) @ axes[2]), 1e-6 * float(np.linalg.norm(middle - eye)), 1e-30)
-    border = _border(camera)
-    border = eye + depth / np.maximum(border @ axes[2], LEAST_COSINE)[:, None] * border
+    eye, points = np.asarray(camera.e, float), points_of(scene)
+    away = points.mean(axis=0) - eye
+    depth = max(float(away @ axes_of(camera)[2]), 1e-6 * float(np.linalg.norm(away)), 1e-30)
+    border, tick = _film(camera, depth)
     film = border[::SIDE]
-    tick = (film[2] + film[3]) / 2 + 0.15 * np.linalg.norm(film[2] - film[1]) * axes[1]
     wide, high = 2 * size, 2 * (3 * size // 4)  # drawn at twice the size and averaged down
-    view = _side_axes(axes)
     spread = np.array([*border, eye, tick, *points])
-    place, scale = _placement(spread, view, (wide, high), 0.06 * high)
+    sheet = Sheet.from_aside(camera, spread, (wide, high), 0.06 * high)
 
     canvas = Image.new("RGB", (wide, high), GROUND)
     draw = ImageDraw.Draw(canvas, "RGBA")
-    flat = lambda points: place(np.array(points)).ravel().tolist()
+    flat = lambda points: sheet.place(np.array(points)).ravel().tolist()
     draw.polygon(flat(border), FILM)
-    for _, shape, *look in sorted(_solids(scene, view, place, scale), key=lambda solid: solid[0]):
-        getattr(draw, shape)(*look)
+    lit = Image.fromarray(_lit(scene, sheet, size, high // 2)).resize(canvas.size)
+    canvas.paste(lit, mask=lit)
     for path in (*([eye, corner] for corner in film), [*border, film[0]], [film[3], tick, film[2]]):
         draw.line(flat(path), (*LINE, 230), 4)
-    draw.ellipse([*(place(eye) - 9), *(place(eye) + 9)], LINE)
-    return np.asarray(canvas.resize((wide // 2, high // 2), Image.Resampling.BOX))
+    draw.ellipse([*(sheet.place(eye) - 9), *(sheet.place(eye) + 9)], LINE)
+    return np.asarray(canvas.resize((size, high // 2), Image.Resampling.BOX))
+
+
+def _lit(scene: Scene, sheet: Sheet, width: int, height: int) -> np.ndarray:
+    """Return a picture (RGBA) of an object, half as large as its sheet."""
+    back = sheet.axes[2]
+    x, y = (2 * np.indices((width, height)).T + 1 - sheet.shift).T / sheet.scale
+    far = np.max(points_of(scene) @ back) + 1 / sheet.scale
+    origins = np.stack([x, y, np.full_like(x, far)]).T @ sheet.axes
+    hit = trace(scene, Rays(origins, np.broadcast_to(-back, origins.shape)))
+    light = np.abs(np.asarray(hit.normal, float) @ back)[..., None]
+    there = 255 * np.isfinite(np.asarray(hit.t))[..., None]
+    return np.concatenate([(0.35 + 0.65 * light) * FACE, there], axis=-1).astype(np.uint8)
 
 
 def frustum(camera: Camera, way: Iterable[Camera] = (), others: Sequence[Camera] = ()) -> Svg:
@@ -71,20 +108,16 @@ def frustum(camera: Camera, way: Iterable[Camera] = (), others: Sequence[Camera]
     It shows the pyramid up to the view point, a tick upwards, and the world's axes at the view
     point. The eyes of `way`, earlier cameras of a fit, are a dotted line; those of `others` rings.
     """
-    axes, eye = axes_of(camera), np.asarray(camera.e, float)
-    b1, b2, v = axes * float(np.linalg.norm(np.asarray(camera.p, float) - eye))
-    up = float(np.tan(float(camera.phi) / 2))
-    aspect = 1.0 if camera.lens is None else float(camera.lens.aspect)
-    right = up * camera.W / camera.H / aspect
+    eye, middle = np.asarray(camera.e, float), np.asarray(camera.p, float)
+    border, tick = _film(camera, float(np.linalg.norm(middle - eye)))
+    film = border[::SIDE]
+    world = middle + np.linalg.norm(tick - middle) / 2 * np.eye(3)
     eyes = lambda cameras: [np.asarray(c.e, float) for c in cameras]
-    film = [eye + v + x * right * b1 + y * up * b2 for x, y in CORNERS]
-    tick, middle = eye + v + 1.3 * up * b2, eye + v
-    world = middle + 0.6 * up * np.linalg.norm(v) * np.eye(3)
     steps, rings = [*eyes(way), eye], eyes(others)
     spread = np.array([*film, *world, *steps, *rings, middle, tick])
     if not np.all(np.isfinite(spread)):
         return Svg()
-    place, _ = _placement(spread, _side_axes(axes), (W, H), ROOM)
+    place = Sheet.from_aside(camera, spread, (W, H), ROOM).place
     at = lambda points: " ".join(f"{x:.1f},{y:.1f}" for x, y in place(np.array(points)))
     line = lambda points, style: f'<polyline points="{at(points)}" fill="none" {style}/>'
     dot = lambda point, style: "<circle cx='{:.1f}' cy='{:.1f}' r='3.5' {}/>".format(
@@ -113,36 +146,18 @@ def axes_of(camera: Camera) -> Float[np.ndarray, "3 3"]:
     return np.stack([np.asarray(axis, float) for axis in camera_basis(camera)])
 
 
-def _side_axes(axes: np.ndarray) -> np.ndarray:
-    """Return the axes of a view from the side as rows: right, up, towards the viewer."""
-    b1, b2, v = axes
-    aside = np.cos(BEHIND) * b1 - np.sin(BEHIND) * v
-    back = np.cos(ABOVE) * aside + np.sin(ABOVE) * b2
-    right = np.cross(b2, back)
-    right /= np.linalg.norm(right)
-    return np.stack([right, np.cross(back, right), back])
-
-
-def _placement(
-    spread: Points, view: np.ndarray, size: tuple[int, int], room: float
-) -> tuple[Callable[[np.ndarray], np.ndarray], float]:
-    """Return a function from points (..., 3) to px (..., 2), and its scale (px a unit): all of
-    `spread` is in the picture."""
-    onto = view[:2].T * [1, -1]  # y runs down
-    low, high = (spread @ onto).min(axis=0), (spread @ onto).max(axis=0)
-    scale = float(np.min((np.array(size) - 2 * room) / np.maximum(high - low, 1e-30)))
-    shift = np.array(size) / 2 - scale * (low + high) / 2
-    return (lambda points: points @ onto * scale + shift), scale
-
-
-def _border(camera: Camera) -> Points:
-    """Return unit directions of rays through the film's border, counter-clockwise from its lower
-    left corner, `SIDE` for each side."""
-    share = np.linspace(0, 1, SIDE, endpoint=False)[:, None] * [camera.W, camera.H]
-    corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) * [camera.W, camera.H]
-    ways = np.array([(1, 0), (0, 1), (-1, 0), (0, -1)])
-    points = np.concatenate([a + way * share for a, way in zip(corners, ways, strict=True)])
-    return np.asarray(rays_through(camera, points.astype(camera.e.dtype)).direction, float)
+def _film(camera: Camera, depth: float) -> tuple[Points, Float[np.ndarray, "3"]]:
+    """Return where rays through the film's border meet a depth, counter-clockwise from its lower
+    left corner, `SIDE` for each side; and the tip of a tick above it."""
+    corners, size = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)]), (camera.W, camera.H)
+    along = np.arange(4 * SIDE) / SIDE
+    places = np.stack([np.interp(along, range(5), side) for side in corners.T], axis=1) * size
+    rays = np.asarray(rays_through(camera, places.astype(camera.e.dtype)).direction, float)
+    axes = axes_of(camera)
+    reach = depth / np.maximum(rays @ axes[2], LEAST_COSINE)
+    border = np.asarray(camera.e, float) + reach[:, None] * rays
+    _, lower, upper, left = border[::SIDE]
+    return border, (upper + left) / 2 + 0.15 * np.linalg.norm(upper - lower) * axes[1]
 
 
 def points_of(scene: Scene) -> Points:
@@ -156,22 +171,3 @@ def points_of(scene: Scene) -> Points:
         out = np.asarray(scene.spheres.radii, float)[:, None, None] * sides
         points += [*(np.asarray(scene.spheres.centers, float)[:, None] + out)]
     return np.concatenate(points)
-
-
-def _solids(
-    scene: Scene, view: np.ndarray, place: Callable[[np.ndarray], np.ndarray], scale: float
-) -> Iterator[tuple[Any, ...]]:
-    """Yield faces and spheres: their depth, shape, place in the picture, colour and border."""
-    if scene.mesh is not None:
-        triangles = np.asarray(scene.mesh.vertices, float)[np.asarray(scene.mesh.faces)]
-        a, b, c = np.moveaxis(triangles @ view.T, 1, 0)
-        normal = np.cross(b - a, c - a)
-        light = np.abs(normal[:, 2]) / np.maximum(np.linalg.norm(normal, axis=1), 1e-30)
-        colours = ((0.35 + 0.65 * light[:, None]) * FACE).astype(int).tolist()
-        corners = place(triangles).reshape(-1, 6).tolist()
-        for depth, at, colour in zip((a + b + c)[:, 2] / 3, corners, colours, strict=True):
-            yield depth, "polygon", at, tuple(colour), tuple(colour)
-    if scene.spheres is not None:
-        for centre, radius in zip(scene.spheres.centers, scene.spheres.radii, strict=True):
-            at, r = place(np.asarray(centre, float)), float(radius) * scale
-            yield float(view[2] @ centre), "ellipse", [*(at - r), *(at + r)], BALL, RIM

@@ -89,21 +89,18 @@ def trust(fit: Fit, scene: Scene) -> Trust:
 def _worst(fit: Fit, value: Callable[[Camera], np.ndarray], depth: float) -> np.ndarray:
     """One sigma (n,) of a camera's values (n, k), in the direction where it is largest; NaN where a
     lens does not reach."""
-    moves = [*sigma_moves(fit, value, abs(depth)), 0 * value(fit.camera)]
-    each = np.stack(moves, axis=-1)
+    each = np.moveaxis(sigma_moves(fit, value, abs(depth)), 0, -1)
     result, known = np.full(len(each), np.nan), np.all(np.isfinite(each), axis=(1, 2))
     result[known] = np.linalg.norm(each[known], ord=2, axis=(1, 2))
     return result
 
 
-def _bands(sigma: np.ndarray) -> list[float]:
+def _bands(sigma: np.ndarray) -> np.ndarray:
     """The upper ends of bands (px), at most as many as there are colours."""
+    ends = np.outer(10.0 ** np.arange(-9, 12), STEPS).ravel()
     least = max(float(sigma.min()), float(sigma.max()) * 1e-3, 1e-9)
-    powers = range(int(np.floor(np.log10(least))), 12)
-    ends = [step * 10.0**power for power in powers for step in STEPS]
-    ends = [end for end in ends if end > least]
-    last = next((k for k, end in enumerate(ends) if end >= sigma.max()), 0)
-    return ends[max(last + 1 - len(COLOURS), 0) : last + 1]
+    first, last = np.searchsorted(ends, least, "right"), np.searchsorted(ends, sigma.max())
+    return ends[max(first, last + 1 - len(COLOURS)) : max(first, last) + 1]
 
 
 def _picture(camera: Camera, sigma: np.ndarray, lines: np.ndarray) -> Svg:

@@ -309,9 +309,9 @@ function drawOver(place, strokes) {
   }
 }
 
-function drawStroke(context, { kind, radius, points }, alpha) {
+function drawStroke(context, { kind, radius_px, points }, alpha) {
   context.strokeStyle = COLOURS[kind] + alpha;
-  context.lineWidth = 2 * radius;
+  context.lineWidth = 2 * radius_px;
   context.beginPath();
   context.moveTo(...points[0]);
   for (const point of points.length > 1 ? points : [points[0]]) context.lineTo(...point);
@@ -490,7 +490,7 @@ $("hand").addEventListener("pointerdown", (event) => {
     $("hand").style.cursor = "grabbing";
     return;
   }
-  stroke = { kind: studio.tool, radius: studio.tool === "line" ? 1 / zoom.scale : brush(), points: [place(event)] };
+  stroke = { kind: studio.tool, radius_px: studio.tool === "line" ? 1 / zoom.scale : brush(), points: [place(event)] };
   draw();
 });
 
@@ -528,7 +528,7 @@ async function released() {
     if (b && Math.hypot(a[0] - b[0], a[1] - b[1]) > 4 / zoom.scale) straight({ line: [a, b] });
     return;
   }
-  const answer = await act("one moment", "stroke", { kind: done.kind, radius_px: done.radius, points: done.points });
+  const answer = await act("one moment", "stroke", done);
   await showMask(answer);
 }
 $("hand").addEventListener("pointerup", released);
