@@ -106,22 +106,6 @@ def test_outline_sigma_is_measured_across_the_outline(name, std, across_sides, a
     assert_allclose(sigma[~upright], across_foot, rtol=0.01, atol=1e-12)
 
 
-@pytest.mark.long
-def test_sigmas_of_several_parameters_add_with_their_correlation():
-    one, both = (
-        fit_of(AHEAD, ("e_x",), [0.01]),
-        fit_of(AHEAD, ("e_x", "rotation_b2"), [0.01, 0.002]),
-    )
-    # Going to the right moves the picture to the left, a turn to the left (about the axis up) moves
-    # it to the right: together they cancel.
-    covariance = np.array([[1e-4, 2e-5], [2e-5, 4e-6]])
-    alone, independent, cancel = (
-        plot.outline_sigma(fit, SQUARE) for fit in (one, both, both._replace(covariance=covariance))
-    )
-    assert np.max(independent) > 1.3 * np.max(alone)
-    assert np.max(cancel) < 0.1 * np.max(alone)
-
-
 def test_band_is_drawn_and_a_window_shows_a_part():
     image = np.zeros((80, 96, 3), np.uint8)
     n = len(plot.outline(AHEAD, SQUARE))
