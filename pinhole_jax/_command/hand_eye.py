@@ -18,7 +18,7 @@ from ..show.robot_page import robot_page
 from .joints import joint_angles
 from .options import record_of
 from .outputs import check_outputs, write_results
-from .proposals import Sight, best_postures, worths
+from .proposals import best_postures, worths
 
 
 def run(options: argparse.Namespace, progress: Ticker) -> int:
@@ -33,7 +33,7 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
         raise ValueError("`holdout`: expected at least two postures, got one")
     if options.refine:
         views = [v._replace(photo=p) for v, p in zip(views, pictures, strict=True)]
-    proposed = None if options.propose is None else _proposed_sights(robot, options)
+    proposed = None if options.propose is None else _proposed_views(robot, options)
     camera, search = _start(options, masks[0], progress.tell)
 
     progress.say(f"fitting {len(views)} views (the first time compiles, some seconds)")
@@ -46,10 +46,8 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
     finite = fit.status != "non_finite"
     helpful = None
     if proposed is not None and finite:
-        known, free = fit.cameras["camera"], options.free.split(",")
-        scenes, mounts = [view.scene for view in fit.views], [view.mount for view in views]
-        seen: Any = [*zip(scenes, mounts, strict=True)]
-        helpful = best_postures(worths(known.camera, known.covariance, free, seen, proposed))
+        known = fit.cameras["camera"].camera
+        helpful = best_postures(worths(views, known, options.free, proposed, zeros))
 
     progress.done()
     print(fit)
@@ -60,21 +58,7 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
     if helpful is not None:
         print(f"recorded   {_most_worth(fit)}")
         print(f"proposed   {helpful}")
-    with Ticker("drawing"):
-        drawn = zip(fit.views, pictures, strict=True) if finite else ()
-        drawings = [overlay(picture, view.camera, view.scene) for view, picture in drawn]
-    page = lambda: robot_page(
-        fit,
-        masks,
-        pictures,
-        [Path(name).name for name in options.masks],
-        frame=options.in_hand or "the base",
-        halves=halves,
-        proposed=helpful,
-        pixel_centres=options.pixel_centres,
-    )
-    named_drawings = {f"overlay_{k}.png": drawing for k, drawing in enumerate(drawings)}
-    write_results(options, fit.cameras["camera"]._replace(status=fit.status), named_drawings, page)
+    _write(options, fit, masks, pictures, halves, helpful)
     return 0 if fit.status == "converged" else 1
 
 
@@ -97,12 +81,8 @@ def read_views(
             f" {len(options.masks)}"
         )
     masks = [read_mask(record_of(options, mask=x), say) for x in options.masks]
-    zeros, views = joint_zeros(options), []
-    for angles, mask in zip(postures, masks, strict=True):
-        scene, mount = _sight(robot, angles, options.in_hand, "JOINTS")
-        posture = None if zeros is None else robot.posture(angles)
-        views.append(JointView(scene, mask, mount=mount, posture=posture))
-    return views
+    views = [_view(robot, angles, options, "JOINTS") for angles in postures]
+    return [view._replace(target=mask) for view, mask in zip(views, masks, strict=True)]
 
 
 def joint_zeros(options: argparse.Namespace) -> float | None:
@@ -117,22 +97,27 @@ def joint_zeros(options: argparse.Namespace) -> float | None:
     return float(np.deg2rad(degrees))
 
 
-def _sight(robot: Robot, angles: dict[str, float], link: str | None, file: str) -> Sight:
-    """Return a robot in a posture of a file, and the pose of the link that carries the camera."""
+def _view(
+    robot: Robot, angles: dict[str, float], options: argparse.Namespace, file: str
+) -> JointView:
+    """Return the view, without a mask, of a robot in a posture of a file."""
+    link = options.in_hand
     with named(angles=file):
         poses = robot.poses(angles)
     if link is not None and link not in poses:
         raise ValueError(f"`in_hand`: expected a link among {', '.join(poses)}, got {link!r}")
-    return robot.scene_at(poses), None if link is None else poses[link]
+    posture = None if joint_zeros(options) is None else robot.posture(angles)
+    mount = None if link is None else poses[link]
+    return JointView(robot.scene_at(poses), None, mount=mount, posture=posture)
 
 
-def _proposed_sights(robot: Robot, options: argparse.Namespace) -> list[Sight]:
-    """Return a robot in the postures of `--propose`."""
+def _proposed_views(robot: Robot, options: argparse.Namespace) -> list[JointView]:
+    """Return the views of a robot in the postures of `--propose`."""
     if "pose" not in options.free.split(","):
         raise ValueError(f"`propose`: expected `pose` in --free, got {options.free!r}")
     with named(path="propose"):
         postures = joint_angles(options.propose, robot)
-    return [_sight(robot, angles, options.in_hand, "propose") for angles in postures]
+    return [_view(robot, angles, options, "propose") for angles in postures]
 
 
 def _most_worth(fit: JointFit) -> str:
@@ -163,3 +148,25 @@ def _pictures(options: argparse.Namespace, masks: list[np.ndarray]) -> list[np.n
             f"`images`: expected one for each of {len(masks)} masks, got {len(options.images)}"
         )
     return [read_photo(path, mask) for path, mask in zip(options.images, masks, strict=True)]
+
+
+def _write(
+    options: argparse.Namespace,
+    fit: JointFit,
+    masks: list[np.ndarray],
+    pictures: list[np.ndarray],
+    halves: str | None,
+    proposed: str | None,
+) -> None:
+    """Write the camera, each picture with the outline on it, and the page."""
+    finite = fit.status != "non_finite"
+    with Ticker("drawing"):
+        drawings = {
+            f"overlay_{k}.png": overlay(picture, view.camera, view.scene)
+            for k, (picture, view) in enumerate(zip(pictures, fit.views, strict=True))
+            if finite
+        }
+    names, frame = [Path(name).name for name in options.masks], options.in_hand or "the base"
+    known = {"halves": halves, "proposed": proposed, "pixel_centres": options.pixel_centres}
+    page = lambda: robot_page(fit, masks, pictures, names, frame=frame, **known)
+    write_results(options, fit.cameras["camera"]._replace(status=fit.status), drawings, page)

@@ -23,28 +23,24 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
 
     Raises ModuleNotFoundError where aiohttp is not installed.
     """
-    server = _server()
+    from .._studio import server  # needs aiohttp
+
     if not 0 <= options.port < 1 << 16:
         raise ValueError(f"`port`: expected a port, 0 to 65535, got {options.port}")
     tell = progress.tell
     progress.say("reading mesh and photo")
+    folder = Path(options.output)
     workpiece, session = (_begun if options.session is None else _saved)(options, tell)
-    mask = None
+    with named(camera="session"):
+        bench = Bench(workpiece, session, folder)
     if options.mask is not None:
-        mask = read_mask(record_of(options, tidy=False), tell)
-
-    def new_bench() -> Bench:
-        with named(camera="session"):
-            bench = Bench(workpiece, session, Path(options.output))
-        if mask is not None:
-            bench.take_mask(mask)
-        return bench
-
-    new_bench().look()  # raises errors before the page opens, and compiles the outline
+        bench.take_mask(read_mask(record_of(options, tidy=False), tell))
+    bench.look()  # raises errors before the page opens, and compiles the outline
+    new_bench = lambda: Bench(workpiece, bench.session, folder)
 
     def ready(address: str) -> None:
         tell(f"studio     {address}")
-        tell(f"           files go to {Path(options.output).resolve()}; Ctrl-C ends it")
+        tell(f"           files go to {folder.resolve()}; Ctrl-C ends it")
         if not options.no_browser:
             webbrowser.open(address)
 
@@ -55,19 +51,6 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
         words = f"expected a port that is free, got {options.port}: {error.strerror}"
         raise ValueError(f"`port`: {words}") from error
     return 0
-
-
-def _server() -> Any:
-    try:
-        from .._studio import server
-    except ModuleNotFoundError as error:
-        if error.name != "aiohttp":
-            raise
-        raise ModuleNotFoundError(
-            "expected aiohttp, which serves the page; pip install 'pinhole-jax[studio]'",
-            name="aiohttp",
-        ) from None
-    return server
 
 
 def _saved(options: argparse.Namespace, tell: Callable[[str], Any]) -> tuple[Workpiece, Session]:

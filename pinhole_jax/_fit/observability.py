@@ -101,18 +101,6 @@ def observability_of(
     return Observability(names, rank, len(values), values, std, cov, tuple(weak))
 
 
-def information(
-    camera: Camera, scene: Scene, free: str | Sequence[str]
-) -> Float[np.ndarray, "n n"]:
-    """The information (n, n) on the reported parameters in a mask whose noise has a standard
-    deviation of 1: the inverse of a covariance, such that more masks' add up; 0 where nothing
-    shows.
-    """
-    *_, triangle, reported, _ = _look(camera, scene, free, None)
-    root = triangle @ np.linalg.inv(reported)
-    return root.T @ root
-
-
 def _look(
     camera: Camera, scene: Scene, free: str | Sequence[str], weight: ArrayLike | None
 ) -> tuple[tuple[str, ...], Camera, np.ndarray, np.ndarray, float]:

@@ -12,10 +12,14 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from aiohttp import WSMsgType, web
-
 from .bench import Bench
 from .workpiece import mesh_file, photo_file
+
+try:
+    from aiohttp import WSMsgType, web
+except ModuleNotFoundError:
+    words = "expected aiohttp, which serves the page; pip install 'pinhole-jax[studio]'"
+    raise ModuleNotFoundError(words, name="aiohttp") from None
 
 HOST = "127.0.0.1"
 #: The most bytes of a message: a mask's or a session's file, in base64.

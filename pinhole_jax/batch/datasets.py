@@ -4,7 +4,6 @@ import contextlib
 import csv
 import json
 import os
-from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import partial
 from operator import index
@@ -106,73 +105,70 @@ def _models(place: Path, models: str | os.PathLike[str] | None) -> Path:
     raise ValueError(f"`models`: expected the folder of the models of {str(place)!r}, {words}")
 
 
-#: An image, the number of an object in it, the object, and the fields of its record.
-_Object = tuple[str, int, int, dict[str, Any]]
+#: The objects of each scene's images, as BOP labels them; those detected have a `segmentation`.
+_Labels = dict[int, dict[str, list[dict[str, Any]]]]
 
 
 def _bop_records(
-    scenes: list[Path],
-    models: Path,
-    detections: dict[int, list[_Object]] | None,
-    start: bool,
+    scenes: list[Path], models: Path, detections: _Labels | None, start: bool
 ) -> Iterator[Record]:
+    needed = "objects with `obj_id`" + ", `cam_R_m2c` and `cam_t_m2c` to start from" * start
     for scene in scenes:
-        cameras = _json(scene / CAMERAS, "path", dict)
-        objects = _labels(scene, start)
-        if detections is not None:
-            objects = detections.get(int(scene.name), []) if scene.name.isdecimal() else []
-        for image, number, object_, fields in objects:
+        file, cameras = scene / "scene_gt.json", _json(scene / CAMERAS, "path", dict)
+        if detections is None:
+            labels = _json(file, "path", dict)
+        else:
+            labels = detections.get(_number(scene), {})
+        for image, objects in labels.items():
             words = f"`path`: expected a camera in {str(scene / CAMERAS)!r}, image {image!r}"
             with _expecting(words, cameras.get(image)):
                 K = cameras.get(image, {}).get("cam_K")
-            yield {
-                "id": f"{scene.parent.name}/{scene.name}/{image}/{object_}/{number}",
-                "mesh": str(models / f"obj_{object_:06d}.ply"),
-                **({} if K is None else {"K": K}),
-                **fields,
-            }
+            with _expecting(
+                f"`path`: expected {needed} in {str(file)!r}, image {image!r}", objects
+            ):
+                stem = f"{int(image):06d}"
+                fields = [_object_fields(label, start) for label in objects]
+            for number, (object_, own) in enumerate(fields):
+                yield {
+                    "id": f"{scene.parent.name}/{scene.name}/{image}/{object_}/{number}",
+                    "mesh": str(models / f"obj_{object_:06d}.ply"),
+                    "mask": str(scene / "mask_visib" / f"{stem}_{number:06d}.png"),
+                    **({} if K is None else {"K": K}),
+                    **own,
+                }
 
 
-def _labels(scene: Path, start: bool) -> Iterator[_Object]:
-    """Yield the objects that BOP has labelled in a scene."""
-    file = scene / "scene_gt.json"
-    needed = "objects with `obj_id`" + ", `cam_R_m2c` and `cam_t_m2c` to start from" * start
-    for image, poses in _json(file, "path", dict).items():
-        with _expecting(f"`path`: expected {needed} in {str(file)!r}, image {image!r}", poses):
-            stem = f"{int(image):06d}"
-            objects = [(index(pose["obj_id"]), _start(pose) if start else {}) for pose in poses]
-        for number, (object_, fields) in enumerate(objects):
-            mask = scene / "mask_visib" / f"{stem}_{number:06d}.png"
-            yield image, number, object_, {"mask": str(mask), **fields}
+def _number(scene: Path) -> int:
+    """Return the number of a scene's folder, -1 for another name."""
+    return int(scene.name) if scene.name.isdecimal() else -1
 
 
-def _start(pose: dict[str, Any]) -> dict[str, Any]:
-    """Return an object's pose as a record has it."""
-    import numpy as np  # it counts the cores: see `worker`
+def _object_fields(label: dict[str, Any], start: bool) -> tuple[int, dict[str, Any]]:
+    """Return a labelled object's number, and its mask and pose as a record has them."""
+    fields = {"mask": label["segmentation"]} if "segmentation" in label else {}
+    if start and not fields:
+        R, t = label["cam_R_m2c"], label["cam_t_m2c"]
+        rows = [[*R[3 * k : 3 * k + 3], t[k]] for k in range(3)]
+        fields["start"] = [*rows, [0, 0, 0, 1]]
+    return index(label["obj_id"]), fields
 
-    rows = np.column_stack([np.reshape(pose["cam_R_m2c"], (3, 3)), pose["cam_t_m2c"]])
-    return {"start": [*rows.tolist(), [0, 0, 0, 1]]}
 
-
-def _detections(path: Path, scenes: list[Path]) -> dict[int, list[_Object]]:
-    """Return COCO's detections as objects, by the number of their scene."""
-    by_scene: dict[int, list[_Object]] = {}
-    numbers: Counter[tuple[int, int]] = Counter()
+def _detections(path: Path, scenes: list[Path]) -> _Labels:
+    """Return COCO's detections as labels."""
+    found: _Labels = {}
     words = "`detections`: expected objects with `scene_id`, `image_id` and `category_id`"
     for place, detection in enumerate(_json(path, "detections", list)):
         with _expecting(f"{words} in number {place} of {str(path)!r}", detection):
             scene, image, object_ = (
                 index(detection[name]) for name in ("scene_id", "image_id", "category_id")
             )
-            fields = {"mask": detection.get("segmentation")}
-        objects = by_scene.setdefault(scene, [])
-        objects.append((str(image), numbers[scene, image], object_, fields))
-        numbers[scene, image] += 1
-    known = [scene.name for scene in scenes]
-    if by_scene and not by_scene.keys() & {int(name) for name in known if name.isdecimal()}:
-        words = f"expected `scene_id` among the folders of `path`, {brief(known)}"
-        raise ValueError(f"`detections`: {words}, got {brief([*by_scene])} in {str(path)!r}")
-    return by_scene
+            label = {"obj_id": object_, "segmentation": detection.get("segmentation")}
+        found.setdefault(scene, {}).setdefault(str(image), []).append(label)
+    if found and not found.keys() & {*map(_number, scenes)}:
+        known = brief([scene.name for scene in scenes])
+        words = f"expected `scene_id` among the folders of `path`, {known}"
+        raise ValueError(f"`detections`: {words}, got {brief([*found])} in {str(path)!r}")
+    return found
 
 
 def _json(path: Path, field: str, kind: Any) -> Any:
@@ -194,7 +190,7 @@ def _expecting(words: str, value: Any) -> Iterator[None]:
     """Raise ValueError with these words where a value has not what its reader takes from it."""
     try:
         yield
-    except (AttributeError, KeyError, TypeError, ValueError):
+    except (AttributeError, LookupError, TypeError, ValueError):
         raise ValueError(f"{words}, got {brief(value)}") from None
 
 

@@ -155,38 +155,24 @@ def _check(
     items: Any, executor: Any, workers: Any, shard: Any, time_limit: Any, retry: Any
 ) -> None:
     known, is_count = (*STATUSES, *NO_FIT), lambda x: type(x) is int and x >= 1
-    pair = shard if isinstance(shard, tuple) and len(shard) == 2 else (2, 1)
     one_by_one = isinstance(items, Iterable) and not isinstance(items, str | Mapping)
-    for name, value, is_right, expected in (
-        ("items", items, one_by_one, "records, one after another"),
-        (
-            "executor",
-            executor,
-            executor is None or isinstance(executor, Executor),
-            "a concurrent.futures.Executor",
-        ),
-        ("workers", workers, workers is None or is_count(workers), "an integer of at least 1"),
-        (
-            "shard",
-            shard,
-            all(map(is_count, pair)) and pair[0] <= pair[1],
-            "(i, n) with i from 1 to n",
-        ),
-        (
-            "time_limit",
-            time_limit,
-            time_limit is None or (isinstance(time_limit, int | float) and time_limit > 0),
-            "positive seconds",
-        ),
-        (
-            "retry",
-            retry,
-            not isinstance(retry, str) and {*retry} <= {*known},
-            f"a list of statuses among {', '.join(known)}",
-        ),
-    ):
-        if not is_right:
-            raise ValueError(f"`{name}`: expected {expected}, got {value!r}")
+    _expect(one_by_one, "records, one after another", items=items)
+    is_executor = executor is None or isinstance(executor, Executor)
+    _expect(is_executor, "a concurrent.futures.Executor", executor=executor)
+    _expect(workers is None or is_count(workers), "an integer of at least 1", workers=workers)
+    is_pair = isinstance(shard, tuple) and len(shard) == 2 and all(map(is_count, shard))
+    _expect(is_pair and shard[0] <= shard[1], "(i, n) with i from 1 to n", shard=shard)
+    is_time = time_limit is None or (isinstance(time_limit, int | float) and time_limit > 0)
+    _expect(is_time, "positive seconds", time_limit=time_limit)
+    are_known = not isinstance(retry, str) and {*retry} <= {*known}
+    _expect(are_known, f"a list of statuses among {', '.join(known)}", retry=retry)
+
+
+def _expect(is_right: bool, expected: str, **argument: object) -> None:
+    """Raise ValueError for a wrong argument, given by its name."""
+    if not is_right:
+        ((name, value),) = argument.items()
+        raise ValueError(f"`{name}`: expected {expected}, got {value!r}")
 
 
 def _shard_records(items: Iterable[Record], shard: tuple[int, int]) -> Iterator[Record]:

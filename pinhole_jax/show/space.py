@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -96,7 +97,8 @@ def _lit(scene: Scene, sheet: Sheet, width: int, height: int) -> np.ndarray:
     x, y = (2 * np.indices((width, height)).T + 1 - sheet.shift).T / sheet.scale
     far = np.max(points_of(scene) @ back) + 1 / sheet.scale
     origins = np.stack([x, y, np.full_like(x, far)]).T @ sheet.axes
-    hit = trace(scene, Rays(origins, np.broadcast_to(-back, origins.shape)))
+    ways = np.broadcast_to(-back, origins.shape)
+    hit = trace(scene, Rays(jnp.asarray(origins), jnp.asarray(ways)))
     light = np.abs(np.asarray(hit.normal, float) @ back)[..., None]
     there = 255 * np.isfinite(np.asarray(hit.t))[..., None]
     return np.concatenate([(0.35 + 0.65 * light) * FACE, there], axis=-1).astype(np.uint8)
