@@ -120,7 +120,7 @@ def _picture(camera: Camera, sigma: np.ndarray, lines: np.ndarray) -> Svg:
     fields = len(parts)
     for colour, width in (("#fff", 3), ("#000", 1.2)):
         parts.append(f'<path d="{ways}" stroke="{colour}" stroke-width="{width}" fill="none"/>')
-    wide = WIDTH / len(COLOURS)
+    wide = WIDTH / len(ends)
     for k, end in enumerate(ends):
         box = f'x="{k * wide:.1f}" y="{height + 10:.1f}" width="14" height="14"'
         words = f'<text x="{k * wide + 19:.1f}" y="{height + 22:.1f}">'
