@@ -102,11 +102,11 @@ def _(primals, tangents):
 SCENE = spheres()
 
 
-def faulty(pixel=(), forward=1.0, reverse=1.0, **parameters):
+def faulty(parameters=(), pixel=(), forward=1.0, reverse=1.0):
     """Return the certificate of a fault in some parameters, or in a pixel. (Gains are data: all
     faults share one compiled program.)"""
     rates = jax.tree.map(jnp.ones_like, camera())
-    for name, gain in parameters.items():
+    for name, gain in parameters:
         rates = eqx.tree_at(lambda c, name=name: getattr(c, name), rates, jnp.asarray(gain, float))
     pixels = [jnp.ones((H, W)).at[pixel].set(gain) for gain in (forward, reverse)]
     wrong = jax.tree_util.Partial(planted, (rates, *pixels))
@@ -125,7 +125,7 @@ def weak_pixel():
 def test_flipped_sign_is_caught_and_named(name):
     """Of one coordinate, or of phi; no other row is accused."""
     vector = name != "phi"
-    found = faulty(**{name: [-1.0, 1, 1] if vector else -1.0})
+    found = faulty([(name, [-1.0, 1, 1] if vector else -1.0)])
     assert not found.passed
     assert failures(found) == {f"{name}.x" if vector else name: "wrong derivative"}
     (row,) = (row for row in found.rows if row.verdict == "wrong derivative")
@@ -158,7 +158,7 @@ def test_reverse_mode_that_differs_from_forward_mode(weak_pixel):
 
 @pytest.mark.long
 def test_nan_is_a_failure(weak_pixel):
-    found = faulty(phi=np.nan)
+    found = faulty([("phi", np.nan)])
     assert failures(found)["phi"] == "not finite"
     found = faulty(pixel=weak_pixel, forward=np.nan)
     assert set(failures(found).values()) == {"not finite"}

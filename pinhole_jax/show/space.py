@@ -149,8 +149,8 @@ def axes_of(camera: Camera) -> Float[np.ndarray, "3 3"]:
 
 
 def _film(camera: Camera, depth: float) -> tuple[Points, Float[np.ndarray, "3"]]:
-    """Return where rays through the film's border meet a depth, counter-clockwise from its lower
-    left corner, `SIDE` for each side; and the tip of a tick above it."""
+    """Return the points at a depth that show on the film's border, counter-clockwise from its lower
+    left corner, `SIDE` for each side; and the tip of a tick above them."""
     corners, size = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)]), (camera.W, camera.H)
     along = np.arange(4 * SIDE) / SIDE
     places = np.stack([np.interp(along, range(5), side) for side in corners.T], axis=1) * size
