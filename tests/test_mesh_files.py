@@ -197,6 +197,7 @@ OTHERS = {
     "more_text.ply": (ply("") + b"\n1", "bytes of rows as its header says"),
     "negative.ply": (ply(length="int").replace(struct.pack("<i", 4), b"\xff" * 4, 1), "list of -1"),
     "other.ply": (ply(name="corners"), "'vertex_indices' in 'face'"),
+    "no_z.ply": (ply("").replace(b"float z", b"float k"), "one x, y and z each, got x, y, k"),
     "header.ply": (ply().replace(b"1.0", b"2.0"), "the line 'format binary_little_endian 2.0'"),
     "fewer.ply": (ply().replace(b"face 8", b"face -1"), "the line 'element face -1'"),
     "faces.ply": (ply().replace(b"face 8", b"face 1000000000"), "it ends before the 10+ rows"),

@@ -128,11 +128,11 @@ def _table(element: Element, body: bytes, start: int, order: str) -> tuple[dict[
         runs.append(rows[:run])
         left, start = left - run, start + run * row.itemsize
 
-    none, columns = [np.empty(0)], {}
-    for p in properties:
-        values = [rows[p.name].ravel() for rows in runs]
-        counts = [np.full(len(rows), rows[p.name].shape[1]) for rows in runs]
-        columns[p.name] = Lists(*(np.concatenate(none + x) for x in (values, counts)))
+    columns = {}
+    for name, *_ in properties:
+        lists = [rows[name] for rows in runs] or [np.empty((0, 0))]
+        counts = np.repeat([x.shape[1] for x in lists], [len(x) for x in lists])
+        columns[name] = Lists(np.concatenate([x.ravel() for x in lists]), counts)
     return columns, start
 
 
@@ -160,12 +160,11 @@ def _cut_short(element: Element) -> ValueError:
 
 
 def _points(vertex: dict[str, Lists]) -> np.ndarray:
-    if missing := [name for name in "xyz" if name not in vertex]:
-        raise ValueError(f"expected vertices with x, y and z, got no {missing[0]}")
-    columns = [vertex[name] for name in "xyz"]
-    if any(np.any(column.counts != 1) for column in columns):
-        raise ValueError("expected vertices with one x, y and z each, got lists")
-    return np.stack([column.values.astype(float) for column in columns], axis=-1)
+    columns = [vertex[x].values for x in "xyz" if x in vertex and np.all(vertex[x].counts == 1)]
+    if len(columns) < 3:
+        got = ", ".join(vertex) or "none"
+        raise ValueError(f"expected vertices with one x, y and z each, got {got}")
+    return np.stack(columns, axis=-1).astype(float)
 
 
 def _corners(table: dict[str, Lists] | None, name: str) -> Lists:

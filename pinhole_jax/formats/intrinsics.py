@@ -15,13 +15,12 @@ from .cameras import KIND, chosen
 from .colmap import colmap_intrinsics
 from .native import camera_from_fields
 from .opencv import known_name, opencv_intrinsics
-from .pinhole import OPENGL, Pinhole, camera_from_pinhole, pinhole
+from .pinhole import COEFFICIENTS, OPENGL, Pinhole, camera_from_pinhole, pinhole
 from .unknown import CAMCHAIN, unknown
 
-#: Names of fx, fy, cx, cy, and of coefficients, one by one.
+#: Names of fx, fy, cx, cy, one by one.
 FOCAL = ("f", "focal", "focal_length", "focal_px", "focallength_px")
 NUMBERS = (("fx", "fl_x", *FOCAL), ("fy", "fl_y", *FOCAL), ("cx",), ("cy",))
-COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 COLMAP = ("cameras.bin", "cameras.txt")
 #: Fields of the project's own cameras.
 OWN = {"e", "p", "u", "phi"}

@@ -13,6 +13,7 @@ from .._files.fields import Fields, Size, read_fields
 from .._files.paths import FilePath
 from .cameras import KIND, Cameras, by_name, check_cameras, save_json
 from .pinhole import (
+    COEFFICIENTS,
     OPENGL,
     Pinhole,
     camera_from_pinhole,
@@ -24,7 +25,6 @@ from .pinhole import (
     world_from_camera,
 )
 
-COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 #: Where a frame has one of these, the file's others of them do not count.
 GROUPS = (
     {"fl_x", "fl_y", "camera_angle_x", "camera_angle_y"},

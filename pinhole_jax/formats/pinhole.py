@@ -22,6 +22,8 @@ OPENCV = np.eye(4)
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 #: x left, y up, z forward: PyTorch3D, Mitsuba.
 LEFT_UP_FORWARD = np.diag([-1.0, -1.0, 1.0, 1.0])
+#: Coefficients of a lens, as files name them one by one.
+COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 
 
 class Pinhole(NamedTuple):

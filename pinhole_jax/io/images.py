@@ -79,12 +79,11 @@ def save_image(path: str | os.PathLike[str], image: np.ndarray) -> None:
         array = np.round(np.clip(array.astype(float), 0, 1) * 255).astype(np.uint8)
     elif array.dtype != np.uint8:
         raise ValueError(f"`image`: expected dtype bool, uint8 or float, got {array.dtype}")
-    suffix = as_path(path).suffix or ".png"
-    if suffix.lower() not in Image.registered_extensions():
+    suffix, data = as_path(path).suffix or ".png", BytesIO()
+    if (kind := Image.registered_extensions().get(suffix.lower())) is None:
         raise ValueError(f"`path`: expected the ending of an image format, got {suffix!r}")
-    data = BytesIO()
     try:
-        Image.fromarray(array).save(data, Image.registered_extensions()[suffix.lower()])
+        Image.fromarray(array).save(data, kind)
     except (OSError, ValueError, KeyError) as error:  # a format's limits
         words = f"an image format that can hold it, got {str(path)!r}: {reason(error)}"
         raise ValueError(f"`path`: expected {words}") from error

@@ -81,16 +81,14 @@ def _fades(image: Image, opaque: np.ndarray) -> bool:
     if not len(edge) or _between(opaque) > FEW * len(edge):
         return False
     places = edge[:: max(1, len(edge) // MOST_PLACES)]
-    found = [nearest(ring(*where), places) for where in ((~seen, 1), (seen, 4), (seen, 6))]
+    rings = (ring(~seen, 1), ring(seen, 0), ring(seen, 4), ring(seen, 6))
+    found = [nearest(pixels, places) for pixels in rings]
     known = np.all([distance < NEAR_PX for _, distance in found], axis=0)
     if np.count_nonzero(known) < max(16, len(places) // 2):
         return False
-    outside, *inside = (
-        colours_at(image, points[known])
-        for points in (found[0][0], places, *(x for x, _ in found[1:]))
-    )
-    back = np.median(outside, axis=0)
-    off, at_edge, near, deep = (np.linalg.norm(x - back, axis=1) for x in (outside, *inside))
+    colours = [colours_at(image, points[known]) for points, _ in found]
+    back = np.median(colours[0], axis=0)
+    off, at_edge, near, deep = (np.linalg.norm(x - back, axis=1) for x in colours)
     if np.mean(off > GREY) > FEW or np.median(near) <= GREY or np.mean(near) < 0.9 * np.mean(deep):
         return False
     low, middle, high = np.quantile(at_edge / np.maximum(near, 1), (0.25, 0.5, 0.9))
