@@ -147,7 +147,8 @@ def _hypothesis(scene: Scene, target: np.ndarray, group: list[Reading]) -> Hypot
         image = image > 0.5
     iou = float(np.minimum(image, target).sum() / np.maximum(image, target).sum())
     columns = zip(*(reading.words for reading in group), strict=True)
-    return Hypothesis(iou, *(" or ".join(dict.fromkeys(column)) for column in columns), camera)
+    joined = (" or ".join(dict.fromkeys(column)) for column in columns)
+    return Hypothesis(iou, *joined, camera=camera)
 
 
 def _views(fields: Fields, W: int, H: int) -> Iterator[tuple[tuple[str, str], Pinhole]]:

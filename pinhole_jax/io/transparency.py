@@ -159,7 +159,7 @@ def _is_same(opaque: np.ndarray, shade: np.ndarray) -> bool:
     premultiplied, or light."""
     parts = ((opaque[part].astype(np.int32), shade[part]) for part in rows(*opaque.shape))
     lost = sum(int(np.sum(np.maximum(a - s - GREY, 0))) for a, s in parts)
-    return lost <= 255 * SAME_PX * np.count_nonzero(ring(opaque > 127, 0))
+    return lost <= 255 * SAME_PX * int(np.count_nonzero(ring(opaque > 127, 0)))
 
 
 def _between(values: np.ndarray) -> int:
