@@ -9,6 +9,9 @@ then it ends with 1. Here and in `test_garbage` files are damaged at random, too
 
 import argparse
 import contextlib
+import importlib
+import io
+import itertools
 import json
 import os
 import re
@@ -17,7 +20,7 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,14 +28,34 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 import trimesh
+from PIL import Image
 
-try:
-    import atheris  # pyright: ignore
-except ModuleNotFoundError:
-    atheris = None
+atheris: Any = None
+with contextlib.suppress(ModuleNotFoundError):
+    atheris = importlib.import_module("atheris")
 
-READERS = [f"pinhole_jax.{name}" for name in ("_files", "_mesh_files", "formats", "io", "robots")]
-with getattr(atheris, "instrument_imports", lambda _: contextlib.nullcontext())(READERS):
+SPEC: Any = find_spec("pinhole_jax")
+PACKAGE = Path(SPEC.origin).parent
+#: What atheris watches: it never frees what comparing two arrays results in, so that no code that
+#: works on pictures is among them. (Damaged TIFFs of 13 million pixels each filled the process.)
+READERS = ("_files/", "_mesh_files/", "formats/", "robots/", "io/rle", "io/text")
+
+
+def others() -> list[str]:
+    """The names of the modules that atheris does not watch."""
+    names = [path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py")]
+    names = [name.removesuffix(".py") for name in names if not name.startswith(READERS)]
+    return [f"pinhole_jax/{name}".removesuffix("/__init__").replace("/", ".") for name in names]
+
+
+def watched() -> contextlib.AbstractContextManager:
+    """In it, imported readers become such that atheris sees their branches."""
+    if atheris is None:
+        return contextlib.nullcontext()
+    return atheris.instrument_imports(["pinhole_jax"], others())
+
+
+with watched():
     import pinhole_jax as pj
 
     for part in ("formats", "io", "robots"):
@@ -46,60 +69,90 @@ CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80
 URDF = b"""<robot name="r"><link name="a"><visual><geometry><box size="1 1 1"/></geometry></visual>
 </link><link name="b"/><joint name="j" type="revolute"><parent link="a"/><child link="b"/>
 <axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
-DAE = ("<COLLADA xmlns='http://www.collada.org/2005/11/COLLADASchema' version='1.4.1'>"
-       "<library_geometries><geometry id='g'><mesh><source id='p'><float_array id='f' count='12'>"
-       "0 0 0 1 0 0 0 1 0 0 0 1</float_array><technique_common><accessor source='#f' count='4'"
-       " stride='3'/></technique_common></source><vertices id='v'><input semantic='POSITION'"
-       " source='#p'/></vertices><triangles count='4'><input semantic='VERTEX' source='#v'"
-       " offset='0'/><p>0 2 1 0 1 3 1 2 3 0 3 2</p></triangles></mesh></geometry>"
-       "</library_geometries></COLLADA>")  # fmt: skip
+#: Kinds of meshes, and how trimesh writes them.
+MESHES: dict[str, list[dict[str, Any]]] = {
+    "obj": [{}],
+    "ply": [{}, {"encoding": "ascii"}],
+    "stl": [{}, {"file_type": "stl_ascii"}],
+    "off": [{}],
+    "dae": [{}],
+    "glb": [{}],
+    "gltf": [{"embed_buffers": True, "merge_buffers": True}],
+}
+#: Kinds of pictures: Pillow's modes, and what they are saved with.
+PICTURES: dict[str, tuple[tuple[str, ...], list[dict[str, Any]]]] = {
+    "png": (("L", "1", "P", "RGBA", "I;16"), [{}]),
+    "tiff": (
+        ("L", "1", "RGB", "I;16", "F"),
+        [{}, *({"compression": x} for x in ("tiff_lzw", "packbits", "jpeg", "group4", "zstd"))],
+    ),
+    "bmp": (("L", "1", "RGB"), [{}]),
+    "webp": (("RGB", "RGBA"), [{}, {"lossless": True}]),
+    "pgm": (("L", "1", "RGB", "I;16"), [{}]),
+    "jpeg": (("L", "RGB"), [{}, {"progressive": True}]),
+}
 
 
 class Target(NamedTuple):
-    """A reader: the name of its file, how to read one, and a valid one."""
+    """A reader: the name of its file, how to read one, and valid ones."""
 
     file: str
     read: Callable[[Path], Any]
-    valid: bytes
+    valid: list[bytes]
 
 
 def targets(folder: Path) -> dict[str, Target]:
     """All readers by name."""
-    found, box = {}, trimesh.creation.box()
-    for kind in ("obj", "ply", "stl", "off", "glb"):
-        data: Any = box.export(file_type=kind)
-        data = data if isinstance(data, bytes) else data.encode()
-        found[kind] = Target(f"mesh.{kind}", pj.load_mesh, data)
-    found["dae"] = Target("mesh.dae", pj.load_mesh, DAE.encode())
+    kinds = [kind for kind in MESHES if kind != "dae" or find_spec("collada")]
+    found = {kind: Target(f"mesh.{kind}", pj.load_mesh, [*meshes(kind)]) for kind in kinds}
     if find_spec("yourdfpy"):
-        found["urdf"] = Target("robot.urdf", pj.robots.load_urdf, URDF)
+        found["urdf"] = Target("robot.urdf", pj.robots.load_urdf, [URDF])
     files = {"json": "camera.json", "opencv": "camera.yaml", "nerf": "transforms.json",
-             "blender": "blender.json", "gltf": "camera.gltf", "pytorch3d": "pytorch3d.json",
+             "blender": "blender.json", "gltf camera": "camera.gltf", "pytorch3d": "pytorch3d.json",
              "mitsuba": "camera.xml"}  # fmt: skip
     read = lambda name: lambda path: pj.formats.read(path, name)
     for name, file in files.items():
-        pj.formats.write(folder / file, {"camera": CAMERA}, name)
-        found[name] = Target(file, read(name), (folder / file).read_bytes())
+        form = name.split()[0]
+        pj.formats.write(folder / file, {"camera": CAMERA}, form)
+        found[name] = Target(file, read(form), [(folder / file).read_bytes()])
     for name, ending in (("colmap", "txt"), ("colmap-binary", "bin")):
         pj.formats.write(folder / name, {"camera": CAMERA}, name)
         for part in ("cameras", "images"):
             path = folder / name / f"{part}.{ending}"
             reads = lambda path, name=name: pj.formats.read(path.parent, name)
             found[f"{name} {part}"] = Target(
-                str(path.relative_to(folder)), reads, path.read_bytes()
+                str(path.relative_to(folder)), reads, [path.read_bytes()]
             )
     mask = np.asarray(pj.silhouette(CAMERA, pj.Scene(mesh=pj.shapes.bumpy(1))))
-    for ending in ("png", "tiff", "bmp", "webp", "pgm"):
-        pj.io.save_image(folder / f"mask.{ending}", mask)
-        data = (folder / f"mask.{ending}").read_bytes()
-        found[ending] = Target(f"mask.{ending}", pj.io.load_mask, data)
+    for kind in PICTURES:
+        found[kind] = Target(f"mask.{kind}", pj.io.load_mask, [*pictures(mask, kind)])
     rle = json.dumps({"size": [80, 96], "counts": [100, 20, 7560]}).encode()
-    found["rle"] = Target("rle.json", lambda path: pj.io.mask_of_rle(pj.io.load_json(path)), rle)
+    load: Any = pj.io.load_json
+    found["rle"] = Target("rle.json", lambda path: pj.io.mask_of_rle(load(path)), [rle])
     return found
 
 
-def damaged(data: bytes, random: np.random.Generator) -> bytes:
-    """The bytes with one to four wounds."""
+def meshes(kind: str) -> Iterator[bytes]:
+    """A box as files of a kind, each as trimesh writes it."""
+    for options in MESHES[kind]:
+        data: Any = trimesh.creation.box().export(**({"file_type": kind} | options))
+        data = data["model.gltf"] if isinstance(data, dict) else data
+        yield data if isinstance(data, bytes) else data.encode()
+
+
+def pictures(mask: np.ndarray, kind: str) -> Iterator[bytes]:
+    """A mask as files of a kind: each sort of pixels, each compression that Pillow writes."""
+    modes, options = PICTURES[kind]
+    grey = Image.fromarray(np.round(255 * mask[::4, ::4]).astype(np.uint8))
+    for mode, option in itertools.product(modes, options):
+        with contextlib.suppress(OSError), io.BytesIO() as file:  # (not all go together)
+            grey.convert("L").convert(mode).save(file, kind.replace("pgm", "ppm"), **option)
+            yield file.getvalue()
+
+
+def damaged(valid: list[bytes], random: np.random.Generator) -> bytes:
+    """One of the files with one to four wounds."""
+    data = valid[random.integers(len(valid))]
     for _ in range(random.integers(1, 5)):
         at, end = np.sort(random.integers(0, len(data) + 1, 2))
         kind = random.integers(6)
@@ -151,7 +204,8 @@ def guided(target: Target, path: Path, seconds: float, keep: Path) -> None:
         sys.exit("atheris is missing: pip install --group fuzz")
     corpus = path.parent / "corpus"
     corpus.mkdir()
-    (corpus / "valid").write_bytes(target.valid)
+    for k, data in enumerate(target.valid):
+        (corpus / str(k)).write_bytes(data)
 
     def read(data: bytes) -> None:
         path.write_bytes(data)

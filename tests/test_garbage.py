@@ -245,6 +245,14 @@ def test_files_that_are_no_images_or_claim_to_be_huge(tmp_path, data):
         io.load_mask(tmp_path / "x.png")
 
 
+def test_tiffs_with_fewer_rows_than_they_say_are_refused(tmp_path):
+    Image.fromarray(np.eye(20, dtype=np.uint8)).save(path := tmp_path / "x.tiff")
+    whole, height = path.read_bytes(), lambda rows: struct.pack("<HHII", 257, 4, 1, rows)
+    path.write_bytes(whole.replace(height(20), height(10**5)))
+    with refusal("`path`: expected a readable image.*rows are missing"):
+        io.load_mask(path)
+
+
 def test_images_of_floats_are_finite(tmp_path):
     for bad in (np.nan, np.inf):
         Image.fromarray(np.array([[bad, 1], [0, 0.5]], np.float32)).save(tmp_path / "x.tiff")

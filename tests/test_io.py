@@ -48,6 +48,11 @@ def test_vertices_rounded_coarsely_are_reported(tmp_path):
         jax.config.update("jax_enable_x64", True)
 
 
+def test_vertices_beyond_float32_load_without_a_word(tmp_path):
+    (tmp_path / "far.obj").write_text("v 0 0 0\nv 1e300 0 0\nv 0 1e300 0\nf 1 2 3\n")
+    assert np.max(pj.load_mesh(tmp_path / "far.obj").vertices) == 1e300
+
+
 def test_real_meshes_load(shared):
     for name, faces, closed in (
         ("spot.obj", 5856, True),

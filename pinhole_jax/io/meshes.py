@@ -66,7 +66,8 @@ def load_mesh(path: str | os.PathLike[str], say: Callable[[str], object] | None 
             mesh = Mesh(merged, place)
     except ValueError as error:  # too large for float32
         raise ValueError(f"{error} (in {str(path)!r})") from error
-    in_file = bool(np.all(merged == merged.astype(np.float32)))
+    with np.errstate(over="ignore"):  # (what float32 cannot hold is not float32's)
+        in_file = bool(np.all(merged == merged.astype(np.float32)))
     if (in_file or mesh.vertices.dtype == np.float32) and (words := rounding_warning(merged)):
         cure = " (the file itself has float32 numbers)" if in_file else ", or set jax_enable_x64"
         words = f"`path`: {words}{cure} (in {str(path)!r})"
