@@ -188,7 +188,7 @@ def test_prior_holds_phi_that_a_hard_mask_barely_shows(fitted):
     assert 0.9e-4 < sure.std[at] < 1.1e-4 < plain.std[at]
 
 
-@pytest.mark.full
+@pytest.mark.long
 def test_bounds_are_kept(fitted):
     scene, _, mask, start, _ = fitted
     held, inside = (

@@ -5,10 +5,8 @@ import numpy as np
 import pytest
 import trimesh
 from chosen import full
-from masks import wavy
 from oracles import drawn, single, turned, usual_camera
 from results import degrees
-from scipy.ndimage import binary_erosion, gaussian_filter
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
@@ -33,11 +31,7 @@ def test_no_fit_says_converged_and_is_wrong(shape, exhaustive):
     ("number", "shape", "kind"),
     [
         (19, "mug", "exact"),  # squares below what rounding may leave, and less still
-        full(57, "mug", "8 bits"),  # ten facets on, each a minimum
-        full(93, "mug", "one bit"),  # nearly the mug's axis, but not quite
-        full(104, "mug", "noisy"),  # noise explains itself
         (16, "mug", "noisy"),  # its handle, which the mask alone shows, is no noise
-        full(516, "dented", "exact"),  # a ball of facets is itself from sixty sides
         (905, "box", "one bit"),  # squares as of a right mask, but on the wrong side of a half
         (5019, "gear with keyway", "8 bits"),  # from the start a tooth too far
     ],
@@ -45,16 +39,6 @@ def test_no_fit_says_converged_and_is_wrong(shape, exhaustive):
 def test_fits_that_once_lied_are_honest(number, shape, kind):
     row = honesty.trial(number, shape, kind)
     assert not honesty.is_lie(row), row
-
-
-@pytest.mark.full
-def test_walk_leads_as_far_in_a_large_mask_as_in_a_small_one(monkeypatch):
-    """Ten steps on the finest level moved the outline by ten pixels of 1024: that was 12.7 degrees
-    off."""
-    monkeypatch.setattr(honesty, "SIZE", 1024)
-    row = honesty.trial(3, "ellipsoid", "one bit")
-    assert row["degrees"] < 1, row
-    assert row["status"] == "converged"
 
 
 CAMERA = usual_camera()
@@ -66,8 +50,7 @@ RING = trimesh.creation.torus(1.0, 0.35, major_sections=32, minor_sections=16)
 TORUS = pj.Scene(mesh=pj.Mesh(RING.vertices, RING.faces))
 
 
-@pytest.mark.parametrize("angle", [122, full(-75), full(40)])
-def test_nearly_round_body_is_found_from_all_round_its_axis(angle):
+def test_nearly_round_body_is_found_from_all_round_its_axis():
     """A ball with a dent: a turn about the dent shows facets alone, in valleys some degrees wide,
     and a hard mask of 800 px tells the right one from the others."""
     ball, dent = trimesh.creation.icosphere(subdivisions=3), np.array([0.6, 0.64, 0.48])
@@ -76,7 +59,7 @@ def test_nearly_round_body_is_found_from_all_round_its_axis(angle):
     scene = pj.Scene(mesh=pj.Mesh(vertices.astype(np.float32), ball.faces))
     eye = 5.5 * np.array([0.8, -0.75, 0]) / np.hypot(0.8, 0.75) + 0.5 * dent
     truth = single(pj.Camera(eye, np.zeros(3), dent, 0.6, 1.0, 800, 800))
-    fit = pj.fit_camera(scene, drawn(truth, scene) > 0.5, turned(truth, dent, angle))
+    fit = pj.fit_camera(scene, drawn(truth, scene) > 0.5, turned(truth, dent, 122))
     assert degrees(fit, truth) < 0.3
 
 
@@ -113,18 +96,9 @@ def test_faceted_body_fits_as_well_one_facet_on():
         assert fit.modes or "rotation about the axis" in fit.weak[0]
 
 
-@pytest.mark.parametrize(
-    "target",
-    [
-        lambda mask: mask > 0.5,
-        full(lambda mask: gaussian_filter(mask, 0.8)),
-        full(lambda mask: binary_erosion(mask > 0.5)),
-    ],
-    ids=["one bit", "blurred", "eroded"],
-)
-def test_contours_within_the_object_are_no_outline(target):
+def test_contours_within_the_object_are_no_outline():
     camera = pj.Camera([3.0, 3.5, 2.0], [0.1, 0, 0], [0, 0, 1], 0.6, 1.0, 96, 80)
-    fit = pj.fit_camera(TORUS, target(drawn(camera, TORUS)), turned(camera, [1, 2, 3], 4))
+    fit = pj.fit_camera(TORUS, drawn(camera, TORUS) > 0.5, turned(camera, [1, 2, 3], 4))
     assert not any("far from the mask's edge" in words for words in fit.weak)
 
 
@@ -167,20 +141,3 @@ def test_nut_fits_as_well_one_side_on(sides, monkeypatch):
             views.append([f.camera.e for f in (fit, *fit.modes)])
         np.testing.assert_array_equal(*views)
         assert min(degrees(f, camera) for f in (fit, *fit.modes)) < 1
-
-
-@pytest.mark.full
-def test_prior_and_start_decide_the_view_of_a_round_body():
-    """The front page's cup: half a turn on, the prior and the mask are as content."""
-    profile = np.array([[0.0, 0], [0.55, 0], [1, 0.17], [0.43, 0.35], [0.54, 0.95], [0, 0.9]])
-    scene = pj.Scene(mesh=shapes.revolved(profile, sections=32))
-    camera = pj.Camera([0, -3.1, 4.9], [0.1, 0, 0.3], [0, 0, 1], 0.5, 1.0, 96, 80)
-    start, mask = turned(camera, [1, 0, 0], 7), drawn(camera, scene)
-    hard = mask > 0.5
-    assert pj.fit_camera(scene, hard, start).status == "rank_deficient"
-    # A drawn mask is searched from all sides: the start says all the same which one it is.
-    for target in (hard, *(wavy(mask, np.random.default_rng(k), 0.7, 10.0) for k in (0, 1))):
-        fit = pj.fit_camera(scene, target, start, prior={"e_x": (0.0, 1e-3)})
-        assert fit.status == "converged" or (fit.status == "uncertain" and target is not hard), fit
-        most = 0.03 if target is hard else min(2 * np.max(fit.std[:3]), 0.1)
-        assert pj.pose_error(fit.camera, camera)[0] < most

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pinhole_jax._numerics import threads
-from pinhole_jax._numerics.threads import in_threads, some_at_once
+from pinhole_jax._numerics.threads import in_threads
 
 
 @pytest.fixture(autouse=True)
@@ -56,13 +56,6 @@ def test_single_thread_runs_all_where_types_would_differ(monkeypatch, count):
         monkeypatch.setattr(jax.dtypes, "canonicalize_dtype", lambda _: lengths.pop())
     assert in_threads(lambda x: by.append(get_ident()), [1, 2, 3], lambda x: x) == [None] * 3
     assert set(by) == {get_ident()}
-
-
-def test_items_are_taken_on_demand():
-    taken = []
-    some = some_at_once(taken.append(k) or k for k in range(5))
-    assert (next(some), taken) == ([0, 1], [0, 1])
-    assert list(some) == [[2, 3], [4]]
 
 
 def test_errors_in_threads_are_raised():

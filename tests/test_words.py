@@ -5,26 +5,11 @@ from oracles import deviates
 from results import fit_at
 
 import pinhole_jax as pj
-from pinhole_jax._fit.words import in_digits, parameter_table
+from pinhole_jax._fit.words import parameter_table
 from pinhole_jax._solver.heading import heading
 from pinhole_jax._solver.moves import displaced
 
 TURNS = ("rotation_b1", "rotation_b2", "rotation_v")
-
-
-@pytest.mark.parametrize(
-    ("value", "std", "text"),
-    [
-        (1e5 + 2.12345678, 2.9e-6, "100002.1234568"),
-        (1.23456, 0.1, "1.23"),
-        (1234.5, 100.0, "1234"),
-        (0.5, 1e-30, "0.500000000000"),
-        (1234567.8, np.inf, "1.23457e+06"),
-        (2.0, 0.0, "2"),
-    ],
-)
-def test_number_has_the_digits_that_its_error_allows(value, std, text):
-    assert in_digits(value, std) == text
 
 
 def test_fit_prints_as_a_table():
