@@ -3,13 +3,11 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 import pytest
 
 from pinhole_jax._native.library import is_available
-from pinhole_jax._scene.scene import Ball
 from pinhole_jax._solver import looks
-from pinhole_jax._solver.priors import no_others
+from pinhole_jax._solver.priors import no_prior
 from pinhole_jax._solver.problem import Problem
 
 FREE = ("pose", "phi")
@@ -18,8 +16,8 @@ FREE = ("pose", "phi")
 def problem_of(scene, data) -> Problem:
     real = data.cells.dtype
     scene = jax.tree.map(lambda x: x.astype(real) if x.dtype.kind == "f" else x, scene)
-    ball = Ball(np.zeros(3), np.asarray(1.0))
-    return Problem(scene, jax.device_put(data), ball, no_others(FREE, real))
+    ball = jnp.zeros(3, real), jnp.ones((), real)
+    return Problem(scene, jax.device_put(data), *ball, None, no_prior(FREE, real))
 
 
 def taken(unit, scene, data, level, size=None) -> looks.View:

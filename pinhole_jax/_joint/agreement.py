@@ -184,7 +184,8 @@ class _Sandwich:
         result = by_shared @ self._shared @ by_shared.T
         for block in self._solved.owners(place):
             for columns, root, influence in self._of_block[block]:
-                whole, part = self._solved.inverse(place, columns) @ root, by_shared @ influence
+                back = self._solved.root(place, block) @ self._solved.root(columns).T
+                whole, part = back @ root, by_shared @ influence
                 result += whole @ whole.T - part @ part.T
         return result
 
@@ -211,11 +212,10 @@ def known_by_others(solved: LinearSolution, part: Rows, shared: np.ndarray) -> n
     its columns): their information is that of all, less the part's, its own unknowns eliminated."""
     own, m = part.rows[:, ~shared], int(np.sum(~shared))
     r: Any = np.linalg.qr(np.column_stack([own, part.rows[:, shared]]), mode="r")
-    columns = part.columns[shared]
-    inverse = solved.inverse(columns, columns)
-    spread = np.sqrt(np.diag(inverse))
+    root = solved.root(part.columns[shared])
+    spread = np.linalg.norm(root, axis=1)
     unit = np.where(spread > 0, 1 / np.where(spread > 0, spread, 1), 0)
-    total = np.linalg.pinv(inverse * np.outer(unit, unit), CLEAR, hermitian=True)
+    total = np.linalg.pinv((root @ root.T) * np.outer(unit, unit), CLEAR, hermitian=True)
     rest = r[m:, m:] * spread
     values, vectors = np.linalg.eigh(total - rest.T @ rest)
     values = np.where(values > CLEAR * np.max(np.abs(total), initial=0), values, 0)

@@ -28,7 +28,7 @@ from .._rules import RULES
 from .._solver.least_squares import Descent, LinearSolution, solve
 from .._solver.moves import canonical, on_film
 from .._solver.parameters import LABELS, labels_of
-from .._solver.priors import OtherViews
+from .._solver.priors import Prior
 from .._solver.solver import Solution, Solver
 from .agreement import known_by_others
 from .door import share_means
@@ -156,7 +156,7 @@ def _lone_poses(problem: JointProblem, path: Path | None) -> list[LonePose]:
     return result
 
 
-def _others(problem: JointProblem, k: int, path: Path, solved: LinearSolution) -> OtherViews:
+def _others(problem: JointProblem, k: int, path: Path, solved: LinearSolution) -> Prior:
     """The knowledge that other views have of the lens's parameters that a view shares with them."""
     eye, seen, camera = problem.eyes[k], path.descent.seen[k], problem.eyes[k].canonical
     unknowns, rows, view = problem.unknowns_of(k), problem.view_rows(k, seen), seen.view
@@ -175,7 +175,7 @@ def _others(problem: JointProblem, k: int, path: Path, solved: LinearSolution) -
     of_label = [LABELS[label].value for label in labels_of(eye.solver.freed)]
     here = [value(camera(path.descent.state)) if value else 0.0 for value in of_label]
     by_labels = by_moves @ np.linalg.pinv(np.asarray(view.to_reported, float))
-    return OtherViews(
+    return Prior(
         *(jnp.asarray(np.array(x, float), eye.solver.dtype) for x in (by_labels, here, left))
     )
 

@@ -72,13 +72,11 @@ def joint_problem(
     _check_names(views, cameras, poses, places)
 
     freed, groups, cameras = with_shared(cameras, free, shared)
-    lens = [name for name in freed if name not in MOTIONS]
-    first = lambda name, row: next((g[0] for g in groups.get(row, ()) if name in g), name)
-    owners = {name: {row: first(name, row) for row in lens} for name in cameras}
+    owners = owners_of(cameras, freed, groups)
     limits = bounds_by_name(bounds, cameras, freed, owners)
     moving = {name: RIG if name in places else name for name in cameras}
     start = State(poses, {n: canonical(c) for n, c in cameras.items()}, scales_of(prior, views), {})
-    unknowns = _unknowns(freed, owners, moving, start)
+    unknowns = unknowns_of(freed, owners, moving, start)
 
     cells = LEAST_CELLS if len(views) < MANY_VIEWS else FEW_CELLS
     options = {"continued": outlier_px is not None, "cells": cells}
@@ -90,7 +88,7 @@ def joint_problem(
         name, mask = view.camera, _checked_mask(k, view, cameras, search, as_given)
         known = ((f"views[{k}].{x}", getattr(view, x)) for x in ("mount", "placed"))
         mount, placed = (_pose(*pose) for pose in known)
-        own = subjects[id(view.scene)], mask, (POSE, *lens), max_steps, limits[name]
+        own = subjects[id(view.scene)], mask, (POSE, *owners[name]), max_steps, limits[name]
         solver, rig = Solver.on(*own, **options), places.get(name, np.eye(4))
         eyes.append(Eye(view, mask, solver, owners[name], moving[name], mount, placed, rig))
     for eye in eyes:
@@ -170,12 +168,27 @@ def share_means(
     return result
 
 
-def _unknowns(
+def owners_of(
+    cameras: Mapping[str, Camera],
+    freed: tuple[str, ...],
+    groups: Mapping[str, list[tuple[str, ...]]],
+) -> dict[str, dict[str, str]]:
+    """The first camera that has each free parameter of a camera's lens in common with it."""
+    first = lambda name, row: next((g[0] for g in groups.get(row, ()) if name in g), name)
+    lens = [row for row in freed if row not in MOTIONS]
+    return {name: {row: first(name, row) for row in lens} for name in cameras}
+
+
+def unknowns_of(
     freed: tuple[str, ...],
     owners: Mapping[str, Mapping[str, str]],
     moving: Mapping[str, str],
     start: State,
 ) -> list[Unknown]:
+    """The unknowns of cameras, which go with the poses `moving`, of objects and of scales.
+
+    Raises ValueError for none.
+    """
     motions = [kind for kind in freed if kind in MOTIONS]
     found = [(name, kind) for name in dict.fromkeys(moving.values()) for kind in motions]
     found += [(name, POSE) for name in start.poses] + [(name, SCALE) for name in start.scales]

@@ -205,7 +205,8 @@ class JointProblem:
         if name in self.cameras:
             eye = self.eye_of(name)[1]
             parts = [Part(eye.moving, kind, eye.rig) for kind in MOTIONS]
-            H = lambda row: eye.mask.camera.H if PARAMETERS[row].labels[0].unit == "px" else 1
+            film = self.cameras[name]
+            H = lambda row: film.H if PARAMETERS[row].labels[0].unit == "px" else 1
             parts += [Part(own, row, None, H(row)) for row, own in eye.owners.items()]
         else:
             parts = [Part(name, kind) for kind in (POSE, SCALE, ZERO)]
@@ -216,7 +217,7 @@ class JointProblem:
     ) -> tuple[np.ndarray, np.ndarray]:
         """The numbers (p,) by which an unknown is reported (0 for small turns), and their
         derivative (p, n) by it."""
-        name, kind, rig, H = part
+        name, kind, rig, _ = part
         if kind == SCALE:  # its logarithm is the unknown
             value = np.array([state.scales[name]])
             return value, value[:, None]
@@ -227,11 +228,18 @@ class JointProblem:
             pose, which = state.poses[name] @ rig, MOTIONS[kind]
             by_twist = reported_twist(pose[:3, :3], axes) @ adjoint(inverse(rig))
             return np.append(np.zeros(3), pose[:3, 3])[which], by_twist[which, which]
+        return self.by_own_moves(part, state, seen)
+
+    def by_own_moves(
+        self, part: Part, state: State, seen: list[ViewRows]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """What `report` says of an unknown that is a move of a view's own camera."""
+        name, kind, _, H = part
         k = self._seen_by[name, kind]
         eye, view = self.eyes[k], seen[k].view
-        labels = [LABELS[label] for label in part.labels]
-        lens, place = state.lenses[eye.shot.camera], indices(eye.solver.freed, kind)
-        values = [float(label.value(lens)) for label in labels if label.value]
+        camera, place = eye.canonical(state), indices(eye.solver.freed, kind)
+        known = [LABELS[label].value for label in part.labels]
+        values = [float(value(camera)) if value else 0.0 for value in known]
         rows = np.asarray(view.to_reported, float)[np.ix_(place, place)]
         by_unknown = rows / np.asarray(view.scale, float)[place]
         return H * np.array(values), H * by_unknown
@@ -293,14 +301,20 @@ class JointProblem:
         """The state after at most this many steps; those below `px` are negligible."""
         return levenberg_marquardt(self, state, most, px)
 
+    def stay(self, state: State) -> Descent:
+        """A descent of no steps."""
+        seen = self.look(state)
+        return Descent(state, seen, self.squares(state, seen, self.noise(seen)), 0, True)
+
     def look(self, state: State) -> list[ViewRows]:
         """All views at a state."""
         sights = [(*e.standpoint(state)[:2], e.level(self.depth)) for e in self.eyes]
         look = lambda sight: sight[0].look(*sight[1:])
         views = in_threads(look, sights, lambda sight: sight[0].program(*sight[1:]))
-        return [self._rows_of(k, state, view) for k, view in enumerate(views)]
+        return [self.rows_of(k, state, view) for k, view in enumerate(views)]
 
-    def _rows_of(self, k: int, state: State, view: View) -> ViewRows:
+    def rows_of(self, k: int, state: State, view: View) -> ViewRows:
+        """A view at a state, and its moves."""
         rigid = [u for u in self.unknowns_of(k) if u.kind != ZERO]
         joints = [u.name for u in self.unknowns_of(k) if u.kind == ZERO]
         moves = self.eyes[k].moves(state, view, rigid)

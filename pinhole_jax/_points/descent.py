@@ -1,16 +1,18 @@
 """The way of views of points to where their squares are least, and what they leave open there."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 
 from .._joint.levels import REACHES
-from .._solver.least_squares import levenberg_marquardt
+from .._joint.system import ViewRows
+from .._joint.views import State
+from .._solver.least_squares import Descent
 from .._solver.problem import FINE_PX
 from .noise import Noise, left_over, noise_of, prior_rows, rms_limit, squares_of
-from .reprojection import PointProblem, PointView
+from .reprojection import PointProblem
 from .starts import rivals
 
 #: How often a prior is weighed anew by what the points err by.
@@ -24,101 +26,99 @@ Tell = Callable[[str], None]
 
 
 class PointDescent(NamedTuple):
-    """Views where the squares of all are least.
+    """Where the squares of all views' points are least.
 
-    - `others`: other places of each view that are as good, what is shared held.
-    - `way`: the views at the start, and where each descent ended, with its steps.
+    - `others`: the ends of other places of each view that are as good, what is shared held.
+    - `way`: the start, and where each descent ended, with its steps.
     - `noise`: what the points err by; `limits`: by how much each view's may (rms, px).
     """
 
     problem: PointProblem
-    views: list[PointView]
-    others: list[list[PointView]]
-    way: list[tuple[list[PointView], int]]
+    end: Descent
+    others: list[list[Descent]]
+    way: list[tuple[State, int]]
     noise: Noise
     limits: list[float]
 
 
 def descend(
-    views: list[PointView],
-    reach: float | None,
-    variance: float | None,
-    most: int,
-    tell: Tell,
+    problem: PointProblem, state: State, reach: float | None, variance: float | None, tell: Tell
 ) -> PointDescent:
-    """Descend with all views together, by this many steps at most each time.
+    """Descend with all views together, by the problem's `max_steps` at most each time.
 
     Points farther than `reach` (px) lose their weight on the way; `variance` (px^2) is that of a
     coordinate of weight 1; both None if unknown. Views that other places fit better, or as well and
     nearer to the start, go on from there.
     """
-    problem = PointProblem.from_views(views)
-    given, way = [view.given.weight for view in views], [(views, 0)]
+    given, end, way = problem, problem.stay(state), [(state, 0)]
     for times in (1,) if reach is None else REACHES:
         if reach is not None:
-            pairs = zip(views, given, strict=True)
-            views = [_without_outliers(*pair, times * reach) for pair in pairs]
-        views, steps = _descend_together(problem, views, variance, most, tell)
-        way.append((views, steps))
+            problem = _without_outliers(given, end.state, times * reach)
+        problem, end = _descend_together(problem, end.state, variance, tell)
+        way.append((end.state, end.steps))
     jumps = 0
     while True:
-        noise = noise_of(problem, views, variance)
-        limits = [rms_limit(view, variance, reach) for view in views]
-        each = zip(views, limits, strict=True)
-        places = [rivals(view, noise, limit) for view, limit in each]
-        first = [best for best, *_ in places]
-        if jumps == JUMPS or all(a is b for a, b in zip(first, views, strict=True)):
+        noise = noise_of(problem, end.seen, variance)
+        limits = [rms_limit(matches, variance, reach) for matches in problem.matches]
+        places = [rivals(problem, k, end, noise, limit) for k, limit in enumerate(limits)]
+        moved = {k: some[0].state for k, some in enumerate(places) if some[0].steps}
+        if jumps == JUMPS or not moved:
             break
         jumps += 1
-        views, steps = _descend_together(problem, first, variance, most, tell)
-        way.append((views, steps))
-    pairs = zip(places, views, strict=True)
-    others = [[place for place in some if place is not view] for some, view in pairs]
-    return PointDescent(problem, views, others, way, noise, limits)
+        problem, end = _descend_together(problem, _joined(problem, end, moved), variance, tell)
+        way.append((end.state, end.steps))
+    others = [[place for place in some if place.steps] for some in places]
+    return PointDescent(problem, end, others, way, noise, limits)
+
+
+def _joined(problem: PointProblem, end: Descent, moved: Mapping[int, State]) -> State:
+    """The state in which some views are where they are in states of their own."""
+    names = {k: problem.eyes[k].shot.camera for k in moved}
+    cameras = {name: moved[k].lenses[name] for k, name in names.items()}
+    return end.state._replace(lenses={**end.state.lenses, **cameras})
 
 
 def _descend_together(
-    problem: PointProblem, views: list[PointView], variance: float | None, most: int, tell: Tell
-) -> tuple[list[PointView], int]:
-    """Views where the squares of all are least, and the number of steps."""
-    steps = 0
-    for k in range(1 if views[0].prior is None else ROUNDS):
-        views = _weigh_prior(problem, views, variance, k)
-        found = levenberg_marquardt(problem, views, most, FINE_PX[problem.dtype])
-        views, steps = found.state, steps + found.steps
-    rms = (squares_of(views) / sum(view.weight for view in views)) ** 0.5
-    tell(f"{len(views)} views: {steps} steps, {rms:.3g} px")
-    return views, steps
+    problem: PointProblem, state: State, variance: float | None, tell: Tell
+) -> tuple[PointProblem, Descent]:
+    """The problem, its priors weighed, and where the squares of all are least."""
+    end = problem.stay(state)
+    for k in range(ROUNDS if problem.priors else 1):
+        problem = replace(problem, error=_error(problem, end.seen, variance, k))
+        further = problem.descend(end.state, problem.max_steps, FINE_PX[problem.dtype])
+        end = further._replace(steps=end.steps + further.steps)
+    weight = sum(matches.weight for matches in problem.matches)
+    rms = (squares_of(end.seen) / weight) ** 0.5
+    tell(f"{len(problem.eyes)} views: {end.steps} steps, {rms:.3g} px")
+    return problem, end
 
 
-def _without_outliers(view: PointView, weight: np.ndarray, reach: float) -> PointView:
-    """The view in which points count, by their given weight, that are no farther than this from
-    where they are seen (px); half of them in any case."""
-    view = view.weighed(weight)
-    off = view.distances()
-    middle = float(np.median(off[view.counts]))
-    return view.weighed(np.where(off <= max(reach, middle), weight, 0.0))
+def _without_outliers(given: PointProblem, state: State, reach: float) -> PointProblem:
+    """The problem in which points count, by their given weights, that are no farther than this from
+    where they are seen (px); half of each view's in any case."""
+    weights = []
+    for eye, matches in zip(given.eyes, given.matches, strict=True):
+        off = np.asarray(matches.distances(eye.canonical(state)))
+        most = max(reach, float(np.median(off[matches.counts])))
+        weights.append(np.where(off <= most, matches.given.weight, 0.0))
+    return given.weighed(weights)
 
 
-def _weigh_prior(
-    problem: PointProblem, views: list[PointView], given: float | None, round_number: int
-) -> list[PointView]:
-    """The views with their priors weighed by the points' noise.
+def _error(
+    problem: PointProblem, seen: list[ViewRows], given: float | None, round_number: int
+) -> float:
+    """What the points err by (px), as priors are weighed.
 
     If only priors leave coordinates over, they hold the free parameters in round 0: the noise that
     round 1 estimates is then no less than the true one.
     """
-    prior, left = views[0].prior, left_over(problem, views)
-    if prior is None:
-        return views
-    with_priors = left + prior_rows(views)
+    left = left_over(problem)
+    with_priors = left + prior_rows(problem)
     if given is not None or left > 0:
-        px = noise_of(problem, views, given).variance ** 0.5
-    elif with_priors <= 0 or round_number > 1:
-        return views
-    elif round_number == 0:
-        px = HOLDS * float(views[0].H) * float(np.max(prior.std))
-    else:
-        px = Noise(squares_of(views) / with_priors, with_priors).variance ** 0.5
-    noise = np.asarray(px, problem.dtype)
-    return [v._replace(prior=eqx.tree_at(lambda p: p.noise, v.prior, noise)) for v in views]
+        return noise_of(problem, seen, given).variance ** 0.5
+    if with_priors <= 0 or round_number > 1:
+        return problem.error
+    if round_number == 0:
+        widest = max(float(np.max(prior.std)) / prior.part.H for prior in problem.priors)
+        return HOLDS * float(problem.matches[0].H) * widest
+    return Noise(squares_of(seen) / with_priors, with_priors).variance ** 0.5

@@ -1,17 +1,18 @@
 """`fit_points`: cameras from points whose places in the world are known (calibration, pose)."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import KW_ONLY
-from typing import Any, ClassVar, NamedTuple
+from dataclasses import KW_ONLY, replace
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
 
 from .._camera.axes import axes_of
 from .._camera.camera import Camera, check_camera
+from .._camera.poses import pose_of
 from .._files.progress import say, shown
 from .._fit.fit_camera import check_reach, check_steps
-from .._fit.implicit import check_plain, steps_of, through
+from .._fit.implicit import Slope, check_plain, steps_of, through, vantage_of, velocity_of
 from .._fit.result import (
     CameraResult,
     Progress,
@@ -21,19 +22,21 @@ from .._fit.result import (
     with_modes,
     without_ended,
 )
-from .._joint.agreement import known_by_others
-from .._joint.door import with_shared
+from .._joint.door import owners_of, unknowns_of, with_shared
+from .._joint.knowledge import bounds_by_name, priors_of
+from .._joint.views import JointView, State
 from .._numerics.arrays import ArrayLike, Input, checked, is_concrete
 from .._numerics.pointwise import room
 from .._rules import RULES
-from .._solver.least_squares import solve
-from .._solver.moves import camera_velocity, on_film
-from .._solver.parameters import check_free, components, labels_of
-from .._solver.priors import Pair, bounds_of, prior_of
+from .._scene.scene import Scene
+from .._solver.least_squares import Descent, LinearSolution, slope_of, solve
+from .._solver.moves import canonical, on_film
+from .._solver.parameters import components, labels_of
+from .._solver.priors import Pair
 from .._solver.uncertainty import BLIND, covariance, weak_directions
 from .descent import PointDescent, descend
 from .noise import FEW, Noise, beyond_noise, coordinates
-from .reprojection import PointArrays, PointProblem, PointView
+from .reprojection import Matches, PointArrays, PointEye, PointProblem, bend_and_pull
 from .starts import begin
 
 #: What several views share by default: the intrinsics of one physical camera.
@@ -42,6 +45,8 @@ INTRINSICS = ("phi", "principal_point", "distortion")
 #: how points err, a rotation is open that is uncertain by this much (rad). (By Student's t four of
 #: them are passed by 1 fit in 40 to 200 there, of 9 coordinates by 1 in 1000.)
 FOUR_SIGMA, UNCERTAIN_OF_FEW = 4.0, np.deg2rad(1)
+#: A point whose weight is a smaller share of the largest of its view does not count.
+NEGLIGIBLE = 1e-6
 WRONG = "are they the same points, in the right order, units and focal length?"
 
 
@@ -160,21 +165,19 @@ def fit_points(
         number, scale = len(given.weight), _usual_weight(given)
         several = INTRINSICS if number > 1 else ()
         cameras = {str(k): c for k, c in enumerate(_cameras(camera, number))}
-        freed, common, cameras = with_shared(cameras, free, several if shared is None else shared)
-        check_free(freed, cameras["0"])
-        alone, views = tuple(name for name in freed if name not in common), []
-        for c, points, seen_at, weight in zip(cameras.values(), *given, strict=True):
-            known = prior_of(prior, c, freed, tuple(common), number)
-            arrays, limits = (
-                PointArrays(points, seen_at, weight / scale),
-                bounds_of(bounds, c, freed),
-            )
-            view = PointView.from_points(c, arrays, freed, alone, limits, known)
-            views.append(begin(view, outlier_px is not None))
+        common = several if shared is None else shared
+        problem = _problem(given, scale, cameras, free, common, prior, bounds, max_steps)
+        start, robust = problem.start, outlier_px is not None
+        begun = {
+            eye.shot.camera: begin(matches, eye.canonical(start), robust)
+            for eye, matches in zip(problem.eyes, problem.matches, strict=True)
+        }
         variance = None if noise_px is None else noise_px**2 / scale
         with shown(progress, "fitting points") as tell:
-            found = descend(views, outlier_px, variance, max_steps, tell or say)
-        return _reports(found, [*cameras.values()], given.weight), found
+            found = descend(
+                problem, start._replace(lenses=begun), outlier_px, variance, tell or say
+            )
+        return _reports(found, given.weight), found
 
     inputs = points3d, points2d, weights
     if is_concrete(*inputs):
@@ -198,14 +201,53 @@ def _velocity(
         rate = jnp.broadcast_to(change, array.shape)
         more = room(array.shape[1]) - array.shape[1]
         rates.append(jnp.pad(rate, [(0, 0), (0, more), *[(0, 0)] * (rate.ndim - 2)]))
-    slopes = [
-        view.slope(PointArrays(*(rate[k] for rate in rates)), found.problem.columns(k))
-        for k, view in enumerate(found.views)
-    ]
-    return tuple(
-        camera_velocity(view.plain_move(), fit.camera, view.freed, step)
-        for fit, view, step in zip(fits, found.views, steps_of(slopes), strict=True)
+    problem, slopes, vantages = found.problem, [], []
+    for k, (eye, matches) in enumerate(zip(problem.eyes, problem.matches, strict=True)):
+        at, film = eye.canonical(found.end.state), fits[k].camera
+        vantages.append(vantage_of(at, film, pose_of(at), matches.freed))
+        changes = PointArrays(*(rate[k] for rate in rates))
+        bend, pull = bend_and_pull(vantages[k], matches.given, changes)
+        slopes.append(Slope(problem.columns(k), np.asarray(bend, float), pull))
+    steps = steps_of(slopes)
+    return tuple(velocity_of(*pair)[0] for pair in zip(vantages, steps, strict=True))
+
+
+def _problem(
+    given: PointArrays,
+    scale: float,
+    cameras: Mapping[str, Camera],
+    free: Any,
+    shared: Any,
+    prior: Any,
+    bounds: Any,
+    max_steps: int,
+) -> PointProblem:
+    """The problem of points with weights in units of `scale`, from the cameras as given.
+
+    Raises ValueError for names, priors and bounds of none.
+    """
+    freed, groups, cameras = with_shared(cameras, free, shared)
+    owners = owners_of(cameras, freed, groups)
+    limits = bounds_by_name(bounds, cameras, freed, owners)
+    lenses = {name: canonical(film) for name, film in cameras.items()}
+    start = State({}, lenses, {}, {})
+    unknowns = unknowns_of(freed, owners, {name: name for name in cameras}, start)
+    eyes, still = [], np.eye(4)
+    for (name, film), points, seen_at, weight in zip(cameras.items(), *given, strict=True):
+        arrays = PointArrays(points, seen_at, weight / scale)
+        matches = Matches.on(film, arrays, freed, limits[name])
+        known = owners[name], name, still, still, still
+        eyes.append(PointEye(JointView(Scene(), None, name), None, matches, *known))
+    problem = PointProblem(
+        unknowns=unknowns,
+        eyes=eyes,
+        start=start,
+        cameras=cameras,
+        outlier_px=None,
+        max_steps=max_steps,
+        weights=np.ones(len(eyes)),
     )
+    return replace(problem, priors=priors_of(prior, problem))
 
 
 def _usual_weight(given: PointArrays) -> float:
@@ -251,7 +293,8 @@ def _checked(points3d: ArrayLike, points2d: ArrayLike, weights: ArrayLike | None
     if np.any(weight < 0):
         raise ValueError(f"`weights`: expected none below 0, got {weight.min()}")
     seen_at[np.isnan(seen_at).any(axis=-1)] = np.nan
-    weight = np.where(np.isnan(seen_at[..., 0]), 0.0, weight)
+    least = NEGLIGIBLE * np.max(weight, axis=1, keepdims=True, initial=0)
+    weight = np.where(np.isnan(seen_at[..., 0]) | (weight <= least), 0.0, weight)
     number = np.sum(weight > 0, axis=1)
     if not np.min(number, initial=3 if V else 0) >= 3:
         views = ", ".join(map(str, number)) or "no view"
@@ -259,108 +302,99 @@ def _checked(points3d: ArrayLike, points2d: ArrayLike, weights: ArrayLike | None
     return PointArrays(points, seen_at, weight)
 
 
-class _SharedKnowledge(NamedTuple):
-    """All views' knowledge of the moves that they share.
-
-    - `known` (s, n): the root of the others' information about a view's moves.
-    - `slope` (n,): half the derivative of all views' squares; `beyond` (s, s): the root of the
-      covariance beyond that of independent errors.
-    - `squares` of this `number` of residuals, and how points err.
-    """
-
-    known: np.ndarray
-    slope: np.ndarray
-    beyond: np.ndarray
-    squares: float
-    number: float
-    noise: Noise
-
-
-def _reports(found: PointDescent, films: list[Camera], weights: np.ndarray) -> tuple[PointFit, ...]:
-    """The fits of all views, and of their other places, on their films; points had these `weights`
-    (V, N)."""
-    problem, views, own = found.problem, found.views, found.problem.own
-    seen = problem.look(views)
-    parts = problem.parts(views, seen, 1.0)
-    squares, count = sum(x.squares for x in seen), 2.0 * sum(len(v.counts) for v in views)
-    if not np.isfinite(squares):
-        return tuple(_without_answer(*pair) for pair in zip(views, films, strict=True))
-    solved = solve(parts, problem.size, np.zeros(problem.size))
-    slope = np.sum([part.left @ part.rows for part in parts], axis=0)
-    beyond = beyond_noise(parts, solved, found.noise)
-    spare = () if found.noise.freedom > 0 else (_none_left_over(problem, views),)
-
+def _reports(found: PointDescent, weights: np.ndarray) -> tuple[PointFit, ...]:
+    """The fits of all views, and of their other places; points had these `weights` (V, N)."""
+    problem, end, noise = found.problem, found.end, found.noise
+    if not np.isfinite(end.squares):
+        return tuple(_without_answer(problem, k, end) for k in range(len(problem.eyes)))
+    solved = _solved(problem, end)
+    views = [problem.view_rows(k, rows) for k, rows in enumerate(end.seen)]
+    beyond = beyond_noise(views, solved[0], noise)
+    spare = () if noise.freedom > 0 else (_none_left_over(problem),)
     fits = []
-    for k, (view, film) in enumerate(zip(views, films, strict=True)):
-        known = known_by_others(solved, parts[k], ~own) @ np.eye(len(own))[~own]
-        others = _SharedKnowledge(known, slope, beyond, squares, count, found.noise)
-        places = view, *found.others[k]
-        fit, *modes = (_report(x, film, others, own, found.limits[k]) for x in places)
+    for k, matches in enumerate(problem.matches):
+        fit = _report(found, k, end, solved, beyond)
+        there = [problem.stay(place.state) for place in found.others[k]]
+        modes = [_report(found, k, place, _solved(problem, place), beyond) for place in there]
         given = int(np.sum(weights[k] > 0))
-        if left_out := given - len(view.counts):
+        if left_out := given - len(matches.counts):
             words = f"{left_out} of {given} points are far from where they are seen, and left out"
             fit = fit._replace(weak=(*fit.weak, words))
+        film, eye = problem.cameras[str(k)], problem.eyes[k]
         way = tuple(
-            Progress(on_film(there[k].camera, film), film.W, film.H, steps)
-            for there, steps in found.way
+            Progress(on_film(eye.canonical(state), film), film.W, film.H, steps)
+            for state, steps in found.way
         )
         fits.append(with_modes(fit._replace(history=way, weak=(*fit.weak, *spare)), modes))
     return tuple(fits)
 
 
-def _none_left_over(problem: PointProblem, views: list[PointView]) -> str:
+def _solved(problem: PointProblem, end: Descent) -> tuple[LinearSolution, np.ndarray]:
+    """What determines the unknowns at the end of a descent, and the squares' slope (size,)."""
+    parts = problem.parts(end.state, end.seen, problem.error)
+    solved = solve(parts, problem.size, np.zeros(problem.size))
+    return solved, slope_of(parts, problem.size)
+
+
+def _none_left_over(problem: PointProblem) -> str:
     """A sentence: nothing shows how far points err."""
-    some, unknowns = coordinates(views), problem.size
-    repeated = (
-        " (repeated points count once)" if some < 2 * sum(len(v.counts) for v in views) else ""
-    )
+    some, unknowns = coordinates(problem), problem.size
+    repeated = some < 2 * sum(len(matches.counts) for matches in problem.matches)
     return (
-        f"{some} coordinates{repeated} for {unknowns} unknowns: none is left over to show how far"
-        " points err, so there are no error bars; `noise_px` gives them"
+        f"{some} coordinates{' (repeated points count once)' * repeated} for {unknowns} unknowns:"
+        " none is left over to show how far points err, so there are no error bars; `noise_px`"
+        " gives them"
     )
 
 
-def _without_answer(view: PointView, film: Camera) -> PointFit:
+def _without_answer(problem: PointProblem, k: int, end: Descent) -> PointFit:
     """The fit of a view that no step could be taken in."""
-    labels, camera = labels_of(view.freed), on_film(view.camera, film)
+    camera = on_film(problem.eyes[k].canonical(end.state), problem.cameras[str(k)])
+    labels = labels_of(problem.matches[k].freed)
     nothing = np.full((len(labels), len(labels)), np.nan)
     known = {"names": labels, "covariance": nothing, "rms_px": float("nan")}
     return PointFit(camera=camera, status="non_finite", **known)
 
 
 def _report(
-    view: PointView, film: Camera, others: _SharedKnowledge, own: np.ndarray, limit: float
+    found: PointDescent,
+    k: int,
+    end: Descent,
+    solved: tuple[LinearSolution, np.ndarray],
+    beyond: np.ndarray,
 ) -> PointFit:
-    """The fit of a view on its film; a misfit above the rms `limit` (px)."""
-    freed, noise, seen = view.freed, others.noise, view.look()
-    labels, camera, blind = labels_of(freed), on_film(view.camera, film), BLIND[film.e.dtype]
-    triangle, along, scale = (np.asarray(x, float) for x in (seen.triangle, seen.along, seen.scale))
-    by_shared = np.eye(len(own))[:, ~own]  # moves (n, s) by shared ones, the view's own following
-    by_shared[own] = -np.linalg.pinv(triangle[:, own] / scale[own]) @ (triangle / scale)[:, ~own]
-
-    gradient = np.where(own, triangle.T @ along, others.slope * scale)
-    whole: Any = np.linalg.qr(np.concatenate([triangle, others.known * scale]), mode="r")
+    """The fit of a view at the end of a descent, where all views are `solved`; `beyond` is the root
+    of the shared unknowns' covariance beyond that of independent errors."""
+    problem, noise, matches = found.problem, found.noise, found.problem.matches[k]
+    at, film = problem.eyes[k].canonical(end.state), problem.cameras[str(k)]
+    camera, blind = on_film(at, film), BLIND[problem.dtype]
+    view, freed, place = end.seen[k].view, matches.freed, problem.columns(k)
+    labels, scale = labels_of(freed), np.asarray(view.scale, float)
+    reported = to_units(view.to_reported, freed, camera)
+    # (R by moves of this view, all others eliminated.)
+    known, slope = solved
+    triangle = np.linalg.pinv(known.root(place)) * scale
     # (As NumPy's: within `grad` JAX's would be traced, and no report could look at them.)
-    along = np.linalg.lstsq(whole.T, gradient, rcond=None)[0]
-    triangle, ended = without_ended(whole, view.camera, freed, view.bounds)
+    along = np.linalg.lstsq(triangle.T, slope[place] * scale, rcond=None)[0]
+    triangle, ended = without_ended(triangle, at, freed, matches.bounds)
     unseen, weak = weak_directions(triangle, components(freed), axes_of(camera), blind)
-    reported = to_units(seen.to_reported, freed, camera)
-    spread = reported / scale @ by_shared @ others.beyond
+    spread = reported / scale @ known.by_shared(place) @ beyond
     cov = covariance(triangle, reported, triangle.T @ triangle, blind) + spread @ spread.T
     # (Where nothing shows how points err, nothing is known.)
     is_known = np.isfinite(noise.variance)
     cov = noise.variance * cov if is_known else np.where(np.eye(len(cov)) > 0, np.inf, np.nan)
 
-    rms = float(np.sqrt(float(seen.sum_squares) / view.weight))
+    rms = float(np.sqrt(float(view.sums.squares) / matches.weight))
     status, words = _status_by_error_bars(cov, labels, camera, noise)
     if unseen:
         status = "rank_deficient"
-    if rms > limit:
+    if rms > found.limits[k]:
         status = "misfit"
         words = (f"points lie {rms:.3g} px (rms) from where they are seen: {WRONG}",)
-    if not at_rest(triangle, along, others.squares, others.number, film.e.dtype):
+    count = 2.0 * sum(len(matches.counts) for matches in problem.matches)
+    if not at_rest(triangle, along, end.squares, count, problem.dtype):
         status = "max_steps"
-    if not float(seen.nearest) > 0:
+    if not np.isfinite(matches.squares(at)):
         status = "behind"
     return PointFit(
         camera=camera,

@@ -1,15 +1,14 @@
 """What points err by: given, or shown by the coordinates that are left over."""
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .._joint.agreement import width_by_few
+from .._joint.system import ViewRows
 from .._solver.least_squares import LinearSolution, Rows
-from .._solver.parameters import labels_of
 from .._solver.problem import FINE_PX
-from .reprojection import PointProblem, PointView
+from .reprojection import Matches, PointProblem
 
 #: Squares may be larger by chance with this probability (an F test). Then a plane's wrong pose
 #: passes for the only one at most once in 2000 times.
@@ -20,8 +19,6 @@ FEW, MANY = 30, 1e9
 #: Points whose distances from the camera's are this many times what a step may leave out are met
 #: exactly.
 EXACT = 100
-#: A point whose weight is a smaller share of the largest shows nothing.
-NEGLIGIBLE = 1e-6
 #: Views disagree more than by chance with this probability. What a view alone knows but for a
 #: share `OTHERS` no other can contradict.
 CHANCE_OF_VIEWS, OTHERS = 1e-2, 1e-3
@@ -73,19 +70,20 @@ def _widening(freedom: float) -> float:
     return width_by_few(freedom) if 0 < freedom <= FEW else 1.0
 
 
-def noise_of(problem: PointProblem, views: Sequence[PointView], given: float | None) -> Noise:
+def noise_of(problem: PointProblem, seen: list[ViewRows], given: float | None) -> Noise:
     """The error of points: the `given` variance, or what residuals show. Where coordinates
-    do not suffice, priors count as well, as far as they hold what is free (`prior_weighed`)."""
+    do not suffice, priors count as well, as far as they hold what is free (`error`)."""
     if given is not None:
         return Noise(given, np.inf)
-    left = left_over(problem, views)
+    left = left_over(problem)
     if left > 0:
-        count = 2 * sum(len(_telling(view)) for view in views)
-        return Noise(squares_of(views) / (count - problem.size), left)
-    prior, left = views[0].prior, left + prior_rows(views)
-    if prior is None or left <= 0:
+        count = 2 * sum(len(matches.counts) for matches in problem.matches)
+        return Noise(squares_of(seen) / (count - problem.size), left)
+    known = prior_rows(problem)
+    if not known or left + known <= 0:
         return Noise(np.inf, 0)
-    return Noise((float(prior.noise) / _widening(left)) ** 2, left)
+    left += known
+    return Noise((problem.error / _widening(left)) ** 2, left)
 
 
 def beyond_noise(parts: list[Rows], solved: LinearSolution, noise: Noise) -> np.ndarray:
@@ -126,46 +124,40 @@ def beyond_noise(parts: list[Rows], solved: LinearSolution, noise: Noise) -> np.
     return back @ vectors * np.sqrt(np.maximum(values - 1, 0))
 
 
-def left_over(problem: PointProblem, views: Sequence[PointView]) -> int:
+def left_over(problem: PointProblem) -> int:
     """The number of coordinates less that of unknowns; repeated points count once."""
-    return coordinates(views) - problem.size
+    return coordinates(problem) - problem.size
 
 
-def coordinates(views: Sequence[PointView]) -> int:
+def coordinates(problem: PointProblem) -> int:
     """The number of different coordinates that points are seen by."""
-    return 2 * sum(len(view.different(_telling(view), and_seen=True)) for view in views)
+    return 2 * sum(len(matches.different(and_seen=True)) for matches in problem.matches)
 
 
-def squares_of(views: Sequence[PointView]) -> float:
+def squares_of(seen: list[ViewRows]) -> float:
     """The sum of the squares of all points' residuals (px^2)."""
-    return sum(float(view.look().sum_squares) for view in views)
+    return sum(float(rows.view.sums.squares) for rows in seen)
 
 
-def prior_rows(views: Sequence[PointView]) -> int:
+def prior_rows(problem: PointProblem) -> int:
     """The number of priors: one for a shared parameter, else one for each view."""
-    prior, own = views[0].prior, labels_of(views[0].alone)
-    return sum(len(views) if label in own else 1 for label in (prior.labels if prior else ()))
+    return sum(len(prior.labels) for prior in problem.priors)
 
 
-def exact_squares(view: PointView) -> float:
+def exact_squares(matches: Matches) -> float:
     """The squares (px^2) that rounding and the last step leave."""
-    px = EXACT * FINE_PX[np.dtype(view.H.dtype)]
-    return px**2 * len(view.counts)
+    px = EXACT * FINE_PX[matches.dtype]
+    return px**2 * len(matches.counts)
 
 
-def rms_limit(view: PointView, given: float | None, reach: float | None) -> float:
+def rms_limit(matches: Matches, given: float | None, reach: float | None) -> float:
     """The root mean square distance (px) above which a view's points are not explained: that
     of the variance that is given, of outliers, or what is large on the film."""
     if given is not None:
-        return TIMES * float(np.sqrt(2 * given * len(view.counts) / view.weight))
+        return TIMES * float(np.sqrt(2 * given * len(matches.counts) / matches.weight))
     if reach is not None:
         return reach
-    H, seen_at = float(view.H), view.in_heights(view.counts)[1]
+    seen_at = matches.in_heights(matches.counts)[1]
     spread = float(np.sqrt(np.sum(np.var(seen_at, axis=0))))
-    diagonal = float(np.hypot(view.aspect, 1))
-    return max(LEAST_PX, H * min(SPREAD * spread, DIAGONAL * diagonal))
-
-
-def _telling(view: PointView) -> np.ndarray:
-    """The indices of points that count enough to show anything."""
-    return np.flatnonzero(view.given.weight > NEGLIGIBLE * np.max(view.given.weight))
+    diagonal = float(np.hypot(matches.aspect, 1))
+    return max(LEAST_PX, float(matches.H) * min(SPREAD * spread, DIAGONAL * diagonal))

@@ -1,10 +1,12 @@
-"""Views of points whose places in the world are known, as least squares.
+"""Views of points whose places in the world are known, as views of a joint problem.
 
 The problem of `fit_cameras` with other residuals: where points are seen, less where they project.
 """
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple, cast
 
 import equinox as eqx
 import jax
@@ -15,14 +17,16 @@ from jaxtyping import Array, Float
 from .._camera.camera import Camera, lens_holds, to_camera
 from .._camera.film import FilmPart
 from .._camera.rays import project
-from .._fit.implicit import Slope
+from .._fit.implicit import Vantage
+from .._joint.system import JointProblem, ViewRows
+from .._joint.views import Eye, Standpoint, State, indices
 from .._numerics.pointwise import padded, room
 from .._numerics.thin_qr import triangle_and_rhs
 from .._scene.scene import Ball, ball_about
 from .._solver.least_squares import Rows
-from .._solver.moves import Bounds, Move, canonical, moved, reported
+from .._solver.looks import Sums, View
+from .._solver.moves import Bounds, Move, moved, reported
 from .._solver.parameters import components
-from .._solver.priors import Prior
 from .._solver.problem import move_about
 
 #: A move of `UNIT_PX` counts as this many residuals of as much, as damping has it. (40 draws of 12
@@ -33,27 +37,6 @@ FILM = 10.0
 REPEATED = 1e-9
 
 
-class PointRows(NamedTuple):
-    """What is known at one camera (as `looks.View`): in px over `UNIT_PX`.
-
-    - `sum_squares` (px^2, weighed) is of the points alone, `prior_squares` of a prior.
-    - `nearest`: the least depth of a point.
-    """
-
-    triangle: Float[Array, "n n"]
-    along: Float[Array, "n"]
-    scale: Float[Array, "n"]
-    to_reported: Float[Array, "m n"]
-    sum_squares: Float[Array, ""]
-    prior_squares: Float[Array, ""]
-    nearest: Float[Array, ""]
-
-    @property
-    def squares(self) -> float:
-        """The sum of squared residuals, those of a prior among them."""
-        return float(self.sum_squares) + float(self.prior_squares)
-
-
 class PointArrays(NamedTuple):
     """Points in the world (N, 3), where they are seen (N, 2) in px, and how much each counts (N,);
     or velocities of these."""
@@ -62,58 +45,48 @@ class PointArrays(NamedTuple):
     seen_at: Any
     weight: Any
 
-    def off(self, camera: Camera, H: Any) -> Float[Array, "N 2"]:
-        """Projected points less where they are seen (px), 0 of those that do not count."""
+    def off(self, camera: Camera, H: Any = 1) -> Float[Array, "N 2"]:
+        """Projected points, by a camera whose unit is `H` px, less where they are seen (px); 0 of
+        those that do not count."""
         off = project(camera, self.points) * H - self.seen_at
         return jnp.where((self.weight > 0)[:, None], off, 0)
 
 
-class PointView(NamedTuple):
-    """One view, as programs take it: points are filled up, so there is a program of few sizes.
+class Matches(eqx.Module):
+    """Points, and where a view sees them: what an eye looks at, as a `Solver` at a mask.
 
-    - `given`: points, where they are seen, and how much they count.
-    - `ball`: a sphere about them; `start`, `camera`: the user's camera and that so far (canonical);
-      `aspect`, `H`: the film's width in its heights, and its height in px.
-    - `freed`: what is free, `alone` what of it no other view shares; `moving`: what moves, as some
-      may be held.
+    - `given`: the points, filled up so that there is a program of few sizes.
+    - `ball`: a sphere about them; `aspect`, `H`: the film's width in its heights, its height in px.
+    - `freed`: the names of moves; `bounds`: those of the lens.
     """
 
     given: PointArrays
     ball: Ball
-    start: Camera
-    camera: Camera
     aspect: Any
     H: Any
-    freed: tuple[str, ...]
-    alone: tuple[str, ...]
-    moving: tuple[str, ...]
     bounds: Bounds | None
-    prior: Prior | None
+    freed: tuple[str, ...] = eqx.field(static=True)
+    #: The only one.
+    levels: ClassVar[tuple[int, ...]] = (0,)
 
     @classmethod
-    def from_points(
-        cls,
-        film: Camera,
-        given: PointArrays,
-        freed: tuple[str, ...],
-        alone: tuple[str, ...],
-        bounds: Bounds | None,
-        prior: Prior | None,
-    ) -> "PointView":
-        """The view from where its film's camera is."""
+    def on(
+        cls, film: Camera, given: PointArrays, freed: tuple[str, ...], bounds: Bounds | None
+    ) -> "Matches":
+        """The matches of a camera's film."""
         used = given.points[given.weight > 0]
         ball = ball_about(np.stack([used.min(axis=0), used.max(axis=0)]))
         to = lambda x: np.asarray(x, film.e.dtype)
         # (What does not count may be NaN, whose derivative would be, too.)
-        given = given._replace(seen_at=np.where((given.weight > 0)[:, None], given.seen_at, 0))
-        start = canonical(film)
-        sides, known = (to(film.W / film.H), to(film.H)), (freed, alone, freed, bounds, prior)
-        return cls(filled_up(given, to), Ball(*map(to, ball)), start, start, *sides, *known)
+        seen_at = np.where((given.weight > 0)[:, None], given.seen_at, 0)
+        values = (given.points, None), (seen_at, 0), (given.weight, 0)
+        arrays = PointArrays(*(padded(to(x), room(len(x)), v) for x, v in values))
+        return cls(arrays, Ball(*map(to, ball)), to(film.W / film.H), to(film.H), bounds, freed)
 
     @property
-    def counts(self) -> np.ndarray:
-        """The indices of the points that count."""
-        return np.flatnonzero(self.given.weight)
+    def dtype(self) -> np.dtype:
+        """The float type of looks."""
+        return np.dtype(self.H.dtype)
 
     @property
     def weight(self) -> float:
@@ -121,190 +94,161 @@ class PointView(NamedTuple):
         return float(np.sum(self.given.weight, dtype=float))
 
     @property
-    def moves(self) -> int:
-        """The number of moves."""
-        return len(components(self.moving))
+    def counts(self) -> np.ndarray:
+        """The indices of the points that count."""
+        return np.flatnonzero(self.given.weight)
 
     def in_heights(self, some: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Some of the points (k, 3), and where they are seen (k, 2) in film heights."""
         points, seen_at, _ = self.given
         return np.asarray(points[some], float), np.asarray(seen_at[some] / self.H, float)
 
-    def different(self, some: np.ndarray, and_seen: bool) -> np.ndarray:
-        """The indices of points among some, without those that repeat another one (`and_seen`: and
+    def different(self, and_seen: bool = False) -> np.ndarray:
+        """The indices of points that count, without those that repeat another one (`and_seen`: and
         where that is seen)."""
         rows = []
-        for x in self.in_heights(some)[: 1 + and_seen]:
+        for x in self.in_heights(self.counts)[: 1 + and_seen]:
             spread = float(np.ptp(x, axis=0).max())
             rows.append(np.round((x - x[0]) / (REPEATED * (spread or 1))))
-        return some[np.sort(np.unique(np.hstack(rows), axis=0, return_index=True)[1])]
+        return self.counts[np.sort(np.unique(np.hstack(rows), axis=0, return_index=True)[1])]
 
-    def posed(self, camera: Camera) -> "PointView":
-        """The view from a camera's pose, its lens as it is."""
-        pose = lambda c: (c.e, c.p, c.u)
-        return self._replace(camera=eqx.tree_at(pose, self.camera, pose(camera)))
+    def squares(self, camera: Camera) -> float:
+        """The sum of the points' squares (px^2), infinite if one that counts is behind the eye."""
+        off = np.asarray(self.distances(camera), float)[self.counts]
+        total = float(np.sum(self.given.weight[self.counts] * off**2))
+        return total if np.isfinite(total) else np.inf
 
-    def weighed(self, weight: np.ndarray) -> "PointView":
-        """The view whose points count so much."""
-        return self._replace(given=self.given._replace(weight=weight))
+    def look(self, camera: Camera, level: int = 0) -> View:
+        """The view at a camera (canonical)."""
+        del level
+        found: Any = jax.tree.map(np.asarray, self._look(camera))
+        triangle, along, to_reported, scale, squares = found
+        nothing: Any = np.zeros(())
+        sums, known = Sums(squares, *[nothing] * 6), np.zeros((0, len(scale)))
+        return View(triangle, along, sums, to_reported, scale, known, 0.0)
 
-    def look(self) -> PointRows:
-        """The view's least squares."""
-        return _look(self)
+    def program(self, camera: Camera, level: int) -> Hashable:
+        """A key of the compiled program that looks at a camera."""
+        del level
+        return self.freed, self.given.weight.shape, self.dtype, jax.tree.structure(camera)
 
-    def stepped(self, y: np.ndarray) -> "PointView":
-        """The view after a step."""
-        return self._replace(camera=_stepped(self, np.asarray(y, self.H.dtype)))
-
-    def distances(self) -> Float[np.ndarray, "N"]:
+    @eqx.filter_jit
+    def distances(self, camera: Camera) -> Float[Array, "N"]:
         """Distances (px) of points from where they are seen, infinite behind the eye."""
-        return np.asarray(_distances(self), float)
+        off = self.given.off(camera, self.H)
+        ahead = to_camera(camera, self.given.points)[:, 2] > 0
+        return jnp.where(ahead, jnp.sqrt(jnp.sum(off * off, axis=1)), jnp.inf)
 
-    def slope(self, rates: PointArrays, columns: np.ndarray) -> Slope:
-        """The slope of the view's squares, as what it is given moves, by unknowns at some columns
-        (moves as such)."""
-        bend, pull = _bend_and_pull(self, rates)
-        return Slope(columns, np.asarray(bend, float), pull)
+    @eqx.filter_jit
+    def stepped(self, camera: Camera, y: Any) -> Camera:
+        """The camera after moves as such."""
+        move = Move(camera, jnp.asarray(self.ball.centre), jnp.ones_like(y), self.bounds)
+        return moved(move, y, self.freed)
 
-    def move(self) -> Move:
-        """A start of the camera's moves, in the solver's units."""
-        pivot, radius, height = map(jnp.asarray, (*self.ball, self.H))
-        return move_about(self.camera, pivot, radius, self.bounds, height, self.moving)
+    @eqx.filter_jit
+    def _look(self, camera: Camera) -> tuple[Array, ...]:
+        """R and Q^T r of the residuals (px) by moves, the reported parameters' derivative, the
+        moves' sizes, and the sum of squares."""
+        about = [*map(jnp.asarray, self.ball)]
+        move = move_about(camera, about[0], about[1], None, jnp.asarray(self.H), self.freed)
 
-    def plain_move(self) -> Move:
-        """A start of the camera's moves as such."""
-        move = self.move()
-        return move._replace(scale=jnp.ones_like(move.scale))
+        def quantities(y: Array) -> tuple[tuple[Array, Array], Array]:
+            there = moved(move, y, self.freed)
+            off = jnp.sqrt(self.given.weight)[:, None] * self.given.off(there, self.H)
+            # (No step leads to where the lens folds.)
+            holds = lens_holds(there, FilmPart(0, self.aspect, 0, 1))
+            r = jnp.where(holds, off.reshape(-1), jnp.nan)
+            return (r, reported(camera, there, self.freed)), r
+
+        zero = jnp.zeros_like(move.scale)
+        (jacobian, to_reported), r = jax.jacfwd(quantities, has_aux=True)(zero)
+        return *triangle_and_rhs(jacobian, r), to_reported, move.scale, jnp.sum(r * r)
 
 
-class PointProblem(NamedTuple):
-    """Views of points as `LeastSquares`, whose state are the views.
+@dataclass(frozen=True, eq=False)
+class PointEye(Eye):
+    """A view of points: the state's `lenses` are cameras where they stand, poses and all."""
 
-    - `own` (n,): which of a view's moves are its own; the shared ones come last.
-    - `size`: the number of unknowns; `dtype`: the float type.
+    mask: Any
+    solver: Any
+
+    def standpoint(self, state: State) -> Standpoint:
+        """The view at a state."""
+        return Standpoint(self.solver, state.lenses[self.shot.camera], self.mount)
+
+
+@dataclass(frozen=True, eq=False)
+class PointProblem(JointProblem):
+    """Views of points as one problem, whose unknowns are moves of cameras as such.
+
+    Priors are weighed by what points err by: `error` (px).
     """
 
-    own: np.ndarray
-    size: int
-    dtype: np.dtype
+    error: float = 1.0
+    report = JointProblem.by_own_moves
 
-    @classmethod
-    def from_views(cls, views: Sequence[PointView]) -> "PointProblem":
-        """The joint problem of these views: parameters that are not `alone` are shared."""
-        names = [name for name in views[0].moving for _ in components((name,))]
-        own = np.isin(names, views[0].alone)
-        size = len(views) * int(own.sum()) + int((~own).sum())
-        return cls(own, size, np.dtype(views[0].H.dtype))
+    @property
+    def matches(self) -> list[Matches]:
+        """What each eye looks at."""
+        return [eye.solver for eye in cast("list[PointEye]", self.eyes)]
 
-    def columns(self, k: int) -> np.ndarray:
-        """Indices of the numbers that a view depends on."""
-        of_view, shared = np.cumsum(self.own) - 1, np.cumsum(~self.own)
-        first = self.size - 1 - np.sum(~self.own)
-        return np.where(self.own, k * np.sum(self.own) + of_view, first + shared)
+    def weighed(self, weights: Sequence[np.ndarray]) -> "PointProblem":
+        """The problem whose points count so much, view by view."""
+        eyes = []
+        for eye, matches, weight in zip(self.eyes, self.matches, weights, strict=True):
+            given = matches.given._replace(weight=weight)
+            eyes.append(replace(eye, solver=replace(matches, given=given)))
+        return replace(self, eyes=eyes)
 
-    def look(self, state: list[PointView]) -> list[PointRows]:
-        """The views' least squares."""
-        return [view.look() for view in state]
+    @cached_property
+    def _own(self) -> np.ndarray:
+        """Which of the numbers (size,) one view alone depends on."""
+        columns = np.concatenate([*map(self.columns, range(len(self.eyes)))])
+        return np.bincount(columns, minlength=self.size) == 1
 
-    def noise(self, seen: list[PointRows]) -> float:
-        """The noise that weighs priors: 1, as theirs are weighed already."""
+    def moves_of(self, k: int) -> np.ndarray:
+        """The indices of a view's unknowns among its moves."""
+        freed = self.matches[k].freed
+        return np.concatenate([indices(freed, u.kind) for u in self.unknowns_of(k)])
+
+    def noise(self, seen: list[ViewRows]) -> float:
+        """What rows of priors err by."""
         del seen
-        return 1.0
+        return self.error
 
-    def squares(self, state: list[PointView], seen: list[PointRows], noise: float) -> float:
-        """The sum of the squares of all residuals."""
-        del state, noise
-        return sum(one.squares for one in seen)
+    def rows_of(self, k: int, state: State, view: View) -> ViewRows:
+        """A view, and its moves by the unknowns."""
+        del state
+        return ViewRows(view, np.diag(1 / np.asarray(view.scale, float))[:, self.moves_of(k)])
 
-    def parts(self, state: list[PointView], seen: list[PointRows], noise: float) -> list[Rows]:
-        """The rows of all views."""
-        del state, noise
-        result = []
-        for k, one in enumerate(seen):
-            triangle, scale, along = (
-                np.asarray(x, float) for x in (one.triangle, one.scale, one.along)
-            )
-            result.append(Rows(triangle / scale, along, self.columns(k), self.own))
-        return result
-
-    def sizes(self, seen: list[PointRows], parts: list[Rows]) -> np.ndarray:
+    def sizes(self, seen: list[ViewRows], parts: list[Rows]) -> np.ndarray:
         """The change of each unknown that moves points by `FILM` px: a trust region, without which
         a lens that points hardly show would fold."""
+        del parts
         result = np.zeros(self.size)
-        for part, one in zip(parts, seen, strict=True):
-            np.maximum.at(result, part.columns, FILM / np.asarray(one.scale, float))
+        for k, rows in enumerate(seen):
+            np.maximum.at(result, self.columns(k), FILM * np.sum(rows.moves, axis=0))
         return result
 
-    def ways_out(self, state: list[PointView], seen: list[PointRows]) -> np.ndarray:
-        """Zeros: bounds hold nothing, as steps swing to and fro within them."""
-        del state, seen
-        return np.zeros(self.size)
-
-    def stepped(self, state: list[PointView], x: np.ndarray) -> list[PointView]:
-        """The views after a step."""
-        return [view.stepped(x[self.columns(k)]) for k, view in enumerate(state)]
-
-    def moved(self, seen: list[PointRows], x: np.ndarray) -> float:
-        """The largest move that a step makes in any view, in its units."""
-        moves = (x[self.columns(k)] / np.asarray(one.scale) for k, one in enumerate(seen))
-        return max(float(np.max(np.abs(y))) for y in moves)
-
-
-def filled_up(given: PointArrays, to: Any) -> PointArrays:
-    """Arrays of points, each as `to` has it, filled up with what does not count."""
-    size = room(len(given.points))
-    values = None, 0, 0
-    return PointArrays(*(padded(to(x), size, v) for x, v in zip(given, values, strict=True)))
+    def stepped(self, state: State, x: np.ndarray) -> State:
+        """The state after a step."""
+        cameras = dict(state.lenses)
+        for k, (eye, matches) in enumerate(zip(self.eyes, self.matches, strict=True)):
+            name, y = eye.shot.camera, np.zeros(len(components(matches.freed)), self.dtype)
+            y[self.moves_of(k)] = x[self.columns(k)]
+            cameras[name] = matches.stepped(cameras[name], y)
+        return state._replace(lenses=cameras)
 
 
 @eqx.filter_jit
-def _stepped(view: PointView, y: Any) -> Camera:
-    return moved(view.plain_move(), y, view.moving)
-
-
-@eqx.filter_jit
-def _distances(view: PointView) -> Float[Array, "N"]:
-    off = view.given.off(view.camera, view.H)
-    ahead = to_camera(view.camera, view.given.points)[:, 2] > 0
-    return jnp.where(ahead, jnp.sqrt(jnp.sum(off * off, axis=1)), jnp.inf)
-
-
-@eqx.filter_jit
-def _look(view: PointView) -> PointRows:
-    move, given = view.move(), view.given
-    zero = jnp.zeros_like(move.scale)
-    padding = jnp.zeros(zero.shape[0] + 1, zero.dtype)  # more rows than columns
-
-    def residuals(y):
-        camera, from_prior = moved(move, y, view.moving), padding[:0]
-        off = jnp.sqrt(given.weight)[:, None] * given.off(camera, view.H)
-        # (No step leads to where the lens folds.)
-        holds = lens_holds(camera, FilmPart(0, view.aspect, 0, 1))
-        r = jnp.where(holds, off.reshape(-1), jnp.nan)
-        if view.prior is not None:
-            from_prior = view.prior.residuals(camera, view.freed)
-        rows = jnp.concatenate([r, from_prior, padding])
-        return rows, (rows, jnp.sum(r * r), jnp.sum(from_prior * from_prior))
-
-    jacobian, (rows, squares, prior) = jax.jacfwd(residuals, has_aux=True)(zero)
-    triangle, along = triangle_and_rhs(jacobian, rows)
-    values = lambda y: reported(view.camera, moved(move, y, view.moving), view.moving)
-    depth = to_camera(view.camera, given.points)[:, 2]
-    nearest = jnp.min(jnp.where(given.weight > 0, depth, jnp.inf))
-    to_reported = jax.jacfwd(values)(zero)
-    return PointRows(triangle, along, move.scale, to_reported, squares, prior, nearest)
-
-
-@eqx.filter_jit
-def _bend_and_pull(view: PointView, rates: PointArrays) -> tuple[Array, Array]:
-    """Half the gradient of the squares by moves as such: its derivative by these (n, n), and its
-    rate of change (n,) with what is given."""
-    move = view.plain_move()
+def bend_and_pull(vantage: Vantage, given: PointArrays, rates: PointArrays) -> tuple[Array, Array]:
+    """Half the gradient of the squares by moves: its derivative by these (n, n), and its rate of
+    change (n,) with what is given."""
 
     def half_squares(y: Array, given: PointArrays) -> Array:
-        off = given.off(moved(move, y, view.moving), view.H)
+        off = given.off(vantage.moved(y)[0])
         return jnp.sum(given.weight[:, None] * off * off) / 2
 
-    slope, still = jax.grad(half_squares), jnp.zeros_like(move.scale)
-    pull = jax.jvp(lambda given: slope(still, given), (view.given,), (rates,))[1]
-    return jax.jacfwd(slope)(still, view.given), pull
+    by_moves, still = jax.grad(half_squares), jnp.zeros_like(vantage.units)
+    pull = jax.jvp(lambda given: by_moves(still, given), (given,), (rates,))[1]
+    return jax.jacfwd(by_moves)(still, given), pull

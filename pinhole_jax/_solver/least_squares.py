@@ -85,7 +85,7 @@ def levenberg_marquardt(problem: LeastSquares, state: Any, most: int, px: float)
         parts = problem.parts(state, seen, noise)
         if not all(np.all(np.isfinite(p.rows)) and np.all(np.isfinite(p.left)) for p in parts):
             return Descent(state, seen, squares, n, False)
-        outward = problem.ways_out(state, seen) * _slope(parts, problem.size) < 0
+        outward = problem.ways_out(state, seen) * slope_of(parts, problem.size) < 0
         parts = [part.without(outward) for part in parts]
         size = np.maximum(size, problem.sizes(seen, parts))
         x = solve(parts, problem.size, damping**0.5 * size).x
@@ -104,8 +104,8 @@ def levenberg_marquardt(problem: LeastSquares, state: Any, most: int, px: float)
     return Descent(state, seen, squares, most, False)
 
 
-def _slope(parts: list[Rows], size: int) -> np.ndarray:
-    """Return half the squares' derivative (size,)."""
+def slope_of(parts: list[Rows], size: int) -> np.ndarray:
+    """Half the squares' derivative (size,)."""
     total = np.zeros(size)
     for part in parts:
         np.add.at(total, part.columns, part.left @ part.rows)
@@ -162,18 +162,18 @@ class LinearSolution(NamedTuple):
     own: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]]
     owner: np.ndarray
 
-    def inverse(self, place: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Return the inverse of the normal matrix between some unknowns (p,) and others (q,)."""
-        back = np.linalg.pinv(self.triangle)
-        left, right = self.by_shared(place), self.by_shared(columns)
-        result = left @ back @ (right @ back).T
-        for block in self.owners(place):
-            rows, others = (np.flatnonzero(self.owner[x] == block) for x in (place, columns))
-            own, triangle, _ = self.own[block]
-            inverse = np.linalg.pinv(triangle)
-            of = lambda x, inverse=inverse, own=own: inverse[np.searchsorted(own, x)]
-            result[np.ix_(rows, others)] += of(place[rows]) @ of(columns[others]).T
-        return result
+    def root(self, place: np.ndarray, block: int | None = None) -> np.ndarray:
+        """Return what, times its transpose, is the inverse of the normal matrix between unknowns
+        (p,), but for what other blocks than this (None: theirs) alone determine."""
+        block = int(np.max(self.owner[place], initial=-1)) if block is None else block
+        result = self.by_shared(place) @ np.linalg.pinv(self.triangle)
+        if block < 0:
+            return result
+        own, triangle, _ = self.own[block]
+        at = np.flatnonzero(self.owner[place] == block)
+        alone = np.zeros((len(place), len(own)))
+        alone[at] = np.linalg.pinv(triangle)[np.searchsorted(own, place[at])]
+        return np.hstack([result, alone])
 
     def unseen(self, blind: float) -> np.ndarray:
         """Return directions (size, d) of the unknowns that change residuals by less than a share

@@ -102,11 +102,8 @@ def look(
     def quantities(y: Array) -> tuple[Any, Any]:
         camera = moved(move, y, freed)
         values = reported(move.camera, camera, freed)
-        known = [problem.others.residuals(values)]
-        if problem.prior is not None:
-            known.append(problem.prior.residuals(camera, freed))
         drawn = sight_of(film_of(camera, level), problem.scene) if size is None else ()
-        return (values, jnp.concatenate(known), *drawn), camera
+        return (values, problem.prior.residuals(values), *drawn), camera
 
     (_, left, *drawn), by_move, camera = along_each(quantities, y)
     to_reported, J, *drawn_by_move = by_move

@@ -220,12 +220,3 @@ def on_film(canonical_one: Camera, camera: Camera) -> Camera:
     moving = lambda c: (c.e, c.p, c.u, c.phi, c.d, c.lens)
     values = (one.e, one.p, one.u, one.phi, one.d, lens)
     return eqx.tree_at(moving, camera, values, is_leaf=lambda x: x is None)
-
-
-@eqx.filter_jit
-def camera_velocity(
-    move: Move, film: Camera, free: tuple[str, ...], y: Float[Array, "n"]
-) -> Camera:
-    """The derivative of a camera, on its film, by moves y, at the camera."""
-    at = lambda y: on_film(moved(move, y, free), film)
-    return jax.jvp(at, (jnp.zeros_like(y),), (y,))[1]

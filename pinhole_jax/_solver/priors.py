@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from .._camera.camera import Camera
 from .._numerics.arrays import ArrayLike
-from .moves import Bounds, reported
+from .moves import Bounds
 from .parameters import LABELS, PARAMETERS, labels_of
 
 #: What a parameter is known by: mean and standard deviation, or low and high.
@@ -19,60 +19,44 @@ Pair = tuple[ArrayLike, ArrayLike]
 
 
 class Prior(eqx.Module):
-    """What is known of reported parameters beforehand (canonical units), and a residual's noise."""
-
-    labels: tuple[str, ...] = eqx.field(static=True)
-    mean: Float[Array, "k"]
-    std: Float[Array, "k"]
-    noise: Float[Array, ""]
-
-    def residuals(self, camera: Camera, free: tuple[str, ...]) -> Float[Array, "k"]:
-        """The parameters' distances from their means, in units in which noise is a residual's."""
-        known = labels_of(free)
-        values = reported(camera, camera, free)
-        off = jnp.stack([values[known.index(label)] for label in self.labels]) - self.mean
-        return off * (self.noise / self.std)
-
-
-class OtherViews(eqx.Module):
-    """What other views know of reported parameters (n,): residuals that are linear in these."""
+    """What is known of reported parameters (n,) beforehand, or by other views: residuals that are
+    linear in these."""
 
     rows: Float[Array, "n n"]
     at: Float[Array, "n"]
     left: Float[Array, "n"]
 
     def residuals(self, values: Float[Array, "n"]) -> Float[Array, "n"]:
-        """The residuals of the other views' knowledge at the parameters' values."""
+        """The residuals at the parameters' values."""
         return self.rows @ (values - self.at) + self.left
+
+    def times(self, noise: np.ndarray) -> "Prior":
+        """The same, in units in which its residuals err by a noise."""
+        return Prior(self.rows * noise, self.at, self.left * noise)
 
 
 @functools.lru_cache  # (asked for at each new weight image)
-def no_others(free: tuple[str, ...], dtype: Any) -> OtherViews:
-    """An empty `OtherViews`."""
+def no_prior(free: tuple[str, ...], dtype: Any) -> Prior:
+    """A `Prior` that knows nothing."""
     n = len(labels_of(free))
-    return OtherViews(*(jnp.asarray(np.zeros(shape, dtype), dtype) for shape in ((n, n), n, n)))
+    return Prior(*(jnp.asarray(np.zeros(shape, dtype), dtype) for shape in ((n, n), n, n)))
 
 
-def prior_of(
-    prior: Mapping[str, Any] | None,
-    base: Camera,
-    freed: tuple[str, ...],
-    common: tuple[str, ...] = (),
-    views: int = 1,
-) -> Prior | None:
-    """Return the prior in film heights, or raise ValueError.
-
-    Each of the views that share what is `common` gets its part of that knowledge.
-    """
+def prior_of(prior: Mapping[str, Any] | None, base: Camera, freed: tuple[str, ...]) -> Prior | None:
+    """Return the prior in film heights, its residuals in standard deviations, or raise
+    ValueError."""
     if not prior:
         return None
-    labels = [x for x in labels_of(freed) if LABELS[x].value is not None]
-    mean, std = pairs("prior", prior, labels, "(mean, standard deviation)")
+    labels = labels_of(freed)
+    known = [label for label in labels if LABELS[label].value is not None]
+    mean, std = pairs("prior", prior, known, "(mean, standard deviation)")
     check_positive(prior, std)
+    place = [labels.index(label) for label in prior]
     unit = np.array([base.H if LABELS[label].unit == "px" else 1 for label in prior])
-    parts = np.array([views if label in labels_of(common) else 1 for label in prior])
+    size, at = np.zeros((2, len(labels)))
+    size[place], at[place] = unit / std, mean / unit
     to = lambda x: jnp.asarray(x, base.e.dtype)
-    return Prior(tuple(prior), to(mean / unit), to(std / unit * np.sqrt(parts)), to(0.1))
+    return Prior(to(np.diag(size)), to(at), to(0 * at))
 
 
 def bounds_of(

@@ -3,16 +3,15 @@
 from typing import Any
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from .._camera.camera import Camera
 from .._mask.kinds import RESOLVED
 from .._mask.pyramid import Level, Pyramid
-from .._scene.scene import Ball, Scene
+from .._scene.scene import Scene
 from .moves import Bounds, Move, scales
-from .priors import OtherViews, Prior
+from .priors import Prior
 
 #: One unit of the solver in pixels. Its damping begins at 1 in its own units, whatever they are:
 #: larger units make bolder first steps.
@@ -35,22 +34,7 @@ class Problem(eqx.Module):
     pivot: Float[Array, "3"]
     radius: Float[Array, ""]
     bounds: Bounds | None
-    prior: Prior | None
-    others: OtherViews
-
-    def __init__(
-        self,
-        scene: Scene,
-        pyramid: Pyramid,
-        ball: Ball,
-        others: OtherViews,
-        bounds: Bounds | None = None,
-        prior: Prior | None = None,
-    ):
-        dtype = pyramid.cells.dtype
-        self.scene, self.pyramid, self.others = scene, pyramid, others
-        self.bounds, self.prior = bounds, prior
-        self.pivot, self.radius = (jnp.asarray(x, dtype) for x in ball)
+    prior: Prior
 
     def move(self, camera: Camera, level: Level, freed: tuple[str, ...]) -> Move:
         """Where moves of a camera start, in the solver's units."""

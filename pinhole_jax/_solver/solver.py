@@ -17,8 +17,8 @@ from .._mask.target import Window, object_window
 from .._numerics.threads import in_threads, some_at_once
 from .._scene.alike import Revolution
 from .looks import Origin, View, size_of_looks
-from .moves import Bounds, Move, moved
-from .priors import OtherViews, Prior, no_others
+from .moves import Bounds, Move, moved, reported
+from .priors import Prior, no_prior
 from .problem import COARSE_PX, FINE_PX, SETTLED, Problem, move_about
 from .store import Levels, LevelsKey, Store
 from .subject import Subject
@@ -30,6 +30,8 @@ CONTINUED_PX = 5e-3
 #: 128 to 256 px. A residual tells of an outline that is a pixel away at most: of 12 degrees ten
 #: steps took 10 to 12 back on this level, 1.5 on one where the object had 1500 px.
 FAR_LEVEL = 3
+#: What a residual errs by, as a prior is weighed against it, before any was looked at.
+UNSEEN_NOISE = 0.1
 
 
 class Stop(NamedTuple):
@@ -84,7 +86,7 @@ class Solver:
     store: Store
     bounds: Bounds | None = None
     prior: Prior | None = None
-    others: OtherViews | None = None
+    others: Prior | None = None
     record: bool = False
     only_finest: bool = False
     walked: list[tuple[Camera, Revolution, list[Solution]]] = field(
@@ -120,7 +122,7 @@ class Solver:
         target = self.target if target is None else target
         return replace(self, weights=weights, target=target, only_finest=only_finest)
 
-    def beside(self, others: OtherViews) -> "Solver":
+    def beside(self, others: Prior) -> "Solver":
         """Return the solver to which what other views know counts. They weigh the prior, too."""
         return replace(self, others=others)
 
@@ -159,16 +161,13 @@ class Solver:
     @property
     def problem(self) -> Problem:
         """The problem that the fit's programs solve, beside a camera and a level."""
-        others = self.others or no_others(self.freed, self.dtype)
-        known = others, self.bounds, self._weighed_prior()
-        return Problem(self.subject.scene, self._levels.pyramid, self.subject.pivot, *known)
-
-    def _weighed_prior(self) -> Prior | None:
-        """Return the prior, weighed by what a residual of the mask errs by."""
-        if self.prior is None or self.store.noise is None:
-            return self.prior
-        noise = np.asarray(self.store.noise, self.dtype)
-        return eqx.tree_at(lambda prior: prior.noise, self.prior, noise)
+        known = self.others or no_prior(self.freed, self.dtype)
+        if self._weighs_prior():
+            assert self.prior is not None
+            noise = UNSEEN_NOISE if self.store.noise is None else self.store.noise
+            known = self.prior.times(np.asarray(noise, self.dtype))
+        about = *self.subject.pivot, self.bounds
+        return Problem(self.subject.scene, self._levels.pyramid, *about, known)
 
     @property
     def counted(self) -> float:
@@ -190,11 +189,10 @@ class Solver:
 
     def known(self, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
         """How many standard deviations a prior's parameters are off (k,), and by moves (k, n)."""
-        prior = self._weighed_prior()
-        assert prior is not None
-        off = np.asarray(prior.residuals(camera, self.freed), float)
-        by_move = self.look(camera, self.finest).known[-len(off) :]
-        return off / float(prior.noise), by_move / float(prior.noise)
+        assert self.prior is not None
+        off = self.prior.residuals(reported(camera, camera, self.freed))
+        to_reported = np.asarray(self.look(camera, self.finest).to_reported, float)
+        return np.asarray(off, float), np.asarray(self.prior.rows, float) @ to_reported
 
     def _weighs_prior(self) -> bool:
         return self.prior is not None and self.others is None
@@ -218,13 +216,11 @@ class Solver:
     def move(self, camera: Camera, level: int) -> Move:
         """The origin of a camera's moves, in the solver's units."""
         about = *self.subject.pivot, self.bounds
-        return _move(camera, about, self.levels[level].scale, self.freed)
+        return _move(camera, *about, self.levels[level].scale, self.freed)
 
     def step(self, camera: Camera, level: int, y: np.ndarray) -> Camera:
         """Return the camera moved by y (n,) in the solver's units."""
-        about = *self.subject.pivot, self.bounds
-        y = np.asarray(y, self.dtype)
-        return _step(camera, about, self.levels[level].scale, y, self.freed)
+        return _moved(self.move(camera, level), np.asarray(y, self.dtype), self.freed)
 
     def solve(
         self,
@@ -315,14 +311,5 @@ class Solver:
         return [*each, end._replace(steps=end.steps - len(each))]
 
 
-@eqx.filter_jit
-def _move(camera: Camera, about: tuple[Any, Any, Bounds | None], scale: Any, freed) -> Move:
-    return move_about(camera, *about, scale, freed)
-
-
-@eqx.filter_jit
-def _step(
-    camera: Camera, about: tuple[Any, Any, Bounds | None], scale: Any, y: Any, freed
-) -> Camera:
-    """Return the camera moved by y in the solver's units; `about` has pivot, radius and bounds."""
-    return moved(move_about(camera, *about, scale, freed), y, freed)
+#: As programs, for cameras that are there.
+_move, _moved = eqx.filter_jit(move_about), eqx.filter_jit(moved)
