@@ -166,8 +166,8 @@ class Solver:
             assert self.prior is not None
             noise = UNSEEN_NOISE if self.store.noise is None else self.store.noise
             known = self.prior.times(np.asarray(noise, self.dtype))
-        about = *self.subject.pivot, self.bounds
-        return Problem(self.subject.scene, self._levels.pyramid, *about, known)
+        (pivot, radius), pyramid = self.subject.pivot, self._levels.pyramid
+        return Problem(self.subject.scene, pyramid, pivot, radius, self.bounds, known)
 
     @property
     def counted(self) -> float:
@@ -215,8 +215,8 @@ class Solver:
 
     def move(self, camera: Camera, level: int) -> Move:
         """The origin of a camera's moves, in the solver's units."""
-        about = *self.subject.pivot, self.bounds
-        return _move(camera, *about, self.levels[level].scale, self.freed)
+        about = *self.subject.pivot, self.bounds, self.levels[level].scale
+        return _move(camera, *about, self.freed)
 
     def step(self, camera: Camera, level: int, y: np.ndarray) -> Camera:
         """Return the camera moved by y (n,) in the solver's units."""
@@ -312,4 +312,5 @@ class Solver:
 
 
 #: As programs, for cameras that are there.
-_move, _moved = eqx.filter_jit(move_about), eqx.filter_jit(moved)
+_move: Any = eqx.filter_jit(move_about)
+_moved: Any = eqx.filter_jit(moved)
