@@ -163,8 +163,8 @@ class LinearSolution(NamedTuple):
     owner: np.ndarray
 
     def root(self, place: np.ndarray, block: int | None = None) -> np.ndarray:
-        """Return what, times its transpose, is the inverse of the normal matrix between unknowns
-        (p,), but for what other blocks than this (None: theirs) alone determine."""
+        """A root of the inverse of the normal matrix between unknowns (p,): it, times its
+        transpose, is that, but for what other blocks than this (None: theirs) alone determine."""
         block = int(np.max(self.owner[place], initial=-1)) if block is None else block
         result = self.by_shared(place) @ np.linalg.pinv(self.triangle)
         if block < 0:
