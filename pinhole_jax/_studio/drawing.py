@@ -63,7 +63,7 @@ def band_of(fit: Fit, scene: Scene) -> dict[str, Any]:
 
 
 def grid_lines(camera: Camera) -> list[list[list[float]]]:
-    """Return a grid of lines straight in space, as the lens shows them: pieces [place, place]."""
+    """Return a grid of lines straight in space, as the lens shows them: rows of points."""
     size = np.array([camera.W, camera.H])
     spacing, reach = min(size) / GRID, REACH * size
     lines = []
@@ -75,8 +75,11 @@ def grid_lines(camera: Camera) -> list[list[list[float]]]:
         lines.append(np.stack(pair[:: 1 - 2 * axis], axis=-1))
     bent = _shown(camera, np.concatenate(lines) / focal_px(camera))
     near = np.all(np.abs(bent - size / 2) < 0.6 * size, axis=-1)
-    pieces = np.stack([bent[:, :-1], bent[:, 1:]], axis=2)
-    return pieces[near[:, :-1] & near[:, 1:]].round(2).tolist()
+    parts = []
+    for line, inside in zip(bent.round(2), near, strict=True):
+        runs = np.split(line, np.flatnonzero(np.diff(inside)) + 1)
+        parts += [run.tolist() for run in runs[int(not inside[0]) :: 2]]
+    return parts
 
 
 def straight_lines(camera: Camera, lines: Sequence[Line]) -> list[list[list[float]]]:
