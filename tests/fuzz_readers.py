@@ -104,7 +104,8 @@ class Target(NamedTuple):
 def targets(folder: Path) -> dict[str, Target]:
     """All readers by name."""
     kinds = [kind for kind in MESHES if kind != "dae" or find_spec("collada")]
-    found = {kind: Target(f"mesh.{kind}", pj.load_mesh, [*meshes(kind)]) for kind in kinds}
+    load_mesh = lambda path: pj.load_mesh(path, say=str)  # coarse steps are no error
+    found = {kind: Target(f"mesh.{kind}", load_mesh, [*meshes(kind)]) for kind in kinds}
     if find_spec("yourdfpy"):
         found["urdf"] = Target("robot.urdf", pj.robots.load_urdf, [URDF])
     files = {"json": "camera.json", "opencv": "camera.yaml", "nerf": "transforms.json",
