@@ -199,26 +199,29 @@ class Refiner:
         """Whether strides (rad) and a descent after each lead farther away than one of them, by
         cameras that are as likely."""
         near, begin = candidate.near, candidate.found
-        camera, least = begin.camera, candidate.log - RULES.times**2 / 2
-        for _ in range(RULES.followed):
+        camera, least, far = begin.camera, candidate.log - RULES.times**2 / 2, 0.0
+        while far <= abs(stride):
             camera = near.step(camera, near.finest, stride * move)
             said = self.account(camera)
             turned = begin._replace(camera=camera)
             ended = None if said is None else self._likelier(turned, said, least, [])
             if ended is None or ended[1].log < least:
                 return False
-            camera = ended[0].camera
-            if angle(camera, begin.camera) > abs(stride):
-                return True
-        return False
+            camera, before = ended[0].camera, far
+            far = angle(camera, begin.camera)
+            if far < before + abs(stride) / RULES.followed:
+                return False
+        return True
 
     def is_hidden(self, candidate: Candidate) -> bool:
         """Whether something may stand before the object that a camera sees."""
         said = candidate.account
         if said is None:
             return False
-        astray = max(said.hidden(self.edge, RULES.small), said.missing)
-        return astray > RULES.little or said.errors.size > self.outlier_px
+        sums = candidate.whole.sums
+        astray = float(sums.overlap) < (1 - RULES.small) * float(sums.union)
+        hidden = max(said.hidden(self.edge, RULES.small), said.missing) > RULES.little
+        return hidden or (astray and said.errors.size > self.outlier_px)
 
 
 def likeliest(candidates: Sequence[Candidate], alike: int, start: Camera | None) -> list[Candidate]:
