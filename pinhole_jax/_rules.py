@@ -80,7 +80,13 @@ class Rules:
     #: masks of implants by a network are 3 nats likelier each with what reaches far.)
     sizes: tuple[float, ...] = (0.08, 0.2, 0.5, 1.2, 3.0)
     lengths: tuple[float, ...] = (6.0, 16.0, 40.0, 100.0)
-    shapes: tuple[tuple[float, float, float], ...] = ((1, 0, 3), (1, 0.7, 9), (2, 0, 9))
+    shapes: tuple[tuple[float, float, float], ...] = (
+        (1, 0, 3),
+        (1, 0.7, 9),
+        (2, 0, 9),
+        (1, 0, 0),
+        (2, 0, 0),
+    )
     #: The bias's standard deviation, in sizes of the other errors and in px beside that, and how
     #: likely it is: segmenters are off by as much as they waver, grown or shrunk masks by more.
     biases: tuple[tuple[float, float, float], ...] = ((1.0, 0.5, 0.8), (2.0, 2.5, 0.2))
@@ -138,7 +144,7 @@ class Rules:
     @property
     def rough(self) -> tuple[tuple[float, float, float], ...]:
         """The shapes that stretches show: how areas are shared out among them is rough."""
-        return tuple((power, own, 0) for power, own, _ in self.shapes if power == 1)
+        return tuple((power, own, 0) for power, own, whole in self.shapes if power == 1 and whole)
 
     @property
     def stretch(self) -> float:

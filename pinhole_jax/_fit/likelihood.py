@@ -99,10 +99,11 @@ class _Segmentation:
 
 
 class Likelihood:
-    """The likelihood of a mask's edge, whose pixels' quantisation leaves them this mean square."""
+    """The likelihood of a mask's edge, whose pixels' quantisation leaves them this mean square; the
+    mask may be `computed`, or is drawn."""
 
-    def __init__(self, edge: Edge, quantisation: float):
-        self.edge = edge
+    def __init__(self, edge: Edge, quantisation: float, computed: bool = True):
+        self.edge, self._computed = edge, computed
         self._blocks = edge.blocks(RULES.stretches, RULES.stretch)
         self._rounding = max(quantisation, EXACT_PX**2)
 
@@ -121,6 +122,11 @@ class Likelihood:
     def _model(self, lengths: Any, shapes: Any) -> ErrorModel:
         variance = self._rounding / float(np.mean(self._blocks.length))
         return ErrorModel(self._middles, variance, lengths, shapes)
+
+    @property
+    def drawn(self) -> "Likelihood":
+        """The likelihood if the mask is surely drawn."""
+        return Likelihood(self.edge, self._rounding, computed=False)
 
     def account(self, outline: OutlinePoints | None, roughly: bool = False) -> Account | None:
         """The account by a camera that sees an outline; None where there is none. `roughly`: with
@@ -155,7 +161,7 @@ class Likelihood:
         length, ends = self._blocks.length, float(np.log(len(offset)))
 
         def weighed(gross: np.ndarray, model: ErrorModel) -> _Segmentation:
-            errors = model.fit(offset, by_move, gross)
+            errors = model.fit(offset, by_move, gross, self._computed)
             # As dense as what lies about a smooth curve within a pixel.
             log = errors.log - np.sum(gross) / 2
             runs = np.count_nonzero(gross != np.roll(gross, 1)) / 2

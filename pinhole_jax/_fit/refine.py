@@ -7,7 +7,7 @@ edge go on from where those of pixels end.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -133,11 +133,25 @@ class Refiner:
             found, said = self._least_squares(near, found)
         some = said is not None and np.any(said.gross)
         wide = self._near(RULES.times, said) if some else self.solver
-        if not (said is None or self.plainly or is_computed(mask_errors(wide, found.view))):
+        errors = mask_errors(wide, found.view)
+        if not (said is None or self.plainly or is_computed(errors)):
+            if self.solver.kind.hard and is_drawn(errors) and not said.is_drawn:  # (by its pixels)
+                found, said = self._drawn(found, near)
             move = said.errors.move
             covariance = said.errors.covariance + np.outer(move, move)
         whole = self.solver.look(found.camera, self.solver.finest)
         return Candidate(found, whole, said, near, wide, covariance)
+
+    def _drawn(self, begin: Solution, near: Solver) -> tuple[Solution, Account]:
+        """The end of generalised least squares, and its account, for a mask that is surely drawn;
+        those of the camera given where they do not come to rest."""
+        surely = replace(self, likelihood=self.likelihood.drawn)
+        said = surely.account(begin.camera)
+        assert said is not None
+        found, after = surely._likelier(begin, said, -np.inf, []) or (begin, said)
+        if not found.ended:
+            return begin, said
+        return found._replace(view=near.look(found.camera, near.finest)), after
 
     def _likelier(
         self, begin: Solution, said: Account, least: float, known: list[Camera]

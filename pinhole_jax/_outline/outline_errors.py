@@ -248,12 +248,18 @@ class ErrorModel:
         return inner, right, squares, determinant[self._of]
 
     def fit(
-        self, offset: np.ndarray, by_move: np.ndarray, gross: np.ndarray | None = None
+        self,
+        offset: np.ndarray,
+        by_move: np.ndarray,
+        gross: np.ndarray | None = None,
+        computed: bool = True,
     ) -> ErrorFit:
-        """How likely offsets are, all hypotheses together, and where the camera is likeliest."""
+        """How likely offsets are, all hypotheses together, and where the camera is likeliest; the
+        mask may be `computed`, or is drawn."""
         from scipy.special import logsumexp
 
         found = self.evidence(offset, by_move, gross)
+        found.log[0] += 0.0 if computed else -np.inf
         total: Any = logsumexp(found.log)
         share, likeliest = np.exp(found.log - total), int(np.argmax(found.log))
         move = _mode(found)
