@@ -135,7 +135,7 @@ class Refiner:
         wide = self._near(RULES.times, said) if some else self.solver
         errors = mask_errors(wide, found.view)
         if not (said is None or self.plainly or is_computed(errors)):
-            if self.solver.kind.hard and is_drawn(errors) and not said.is_drawn:  # (by its pixels)
+            if self.solver.kind.hard and not said.is_drawn:  # (by its pixels)
                 found, said = self._drawn(found, near)
             move = said.errors.move
             covariance = said.errors.covariance + np.outer(move, move)
