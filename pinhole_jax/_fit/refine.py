@@ -135,23 +135,24 @@ class Refiner:
         wide = self._near(RULES.times, said) if some else self.solver
         errors = mask_errors(wide, found.view)
         if not (said is None or self.plainly or is_computed(errors)):
-            if self.solver.kind.hard and not said.is_drawn:  # (by its pixels)
-                found, said = self._drawn(found, near)
+            if self.solver.kind.hard and not said.is_drawn:
+                found, said = self._drawn(found, near, is_drawn(errors))
             move = said.errors.move
             covariance = said.errors.covariance + np.outer(move, move)
         whole = self.solver.look(found.camera, self.solver.finest)
         return Candidate(found, whole, said, near, wide, covariance)
 
-    def _drawn(self, begin: Solution, near: Solver) -> tuple[Solution, Account]:
-        """The end of generalised least squares, and its account, for a mask that is surely drawn;
-        those of the camera given where they do not come to rest."""
-        surely = replace(self, likelihood=self.likelihood.drawn)
-        said = surely.account(begin.camera)
+    def _drawn(self, found: Solution, near: Solver, surely: bool) -> tuple[Solution, Account]:
+        """A camera, and its account if the mask is drawn, of which its edge is no sign. If it is
+        so surely, by its pixels: the end of generalised least squares, where these come to rest."""
+        drawn = replace(self, likelihood=self.likelihood.drawn)
+        said = drawn.account(found.camera)
         assert said is not None
-        found, after = surely._likelier(begin, said, -np.inf, []) or (begin, said)
-        if not found.ended:
-            return begin, said
-        return found._replace(view=near.look(found.camera, near.finest)), after
+        likelier = drawn._likelier(found, said, -np.inf, []) if surely else None
+        if likelier is None or not likelier[0].ended:
+            return found, said
+        ended, said = likelier
+        return ended._replace(view=near.look(ended.camera, near.finest)), said
 
     def _likelier(
         self, begin: Solution, said: Account, least: float, known: list[Camera]

@@ -40,7 +40,7 @@ class OutlineErrors(NamedTuple):
     """How a mask's outline errs, as a fit's own outline shows it.
 
     - `size`: standard deviation of its offset (px), `length`: over which it is correlated (px),
-      both as the likeliest hypothesis has them; 0 for a mask that is computed.
+      both the hypotheses' geometric mean; 0 for a mask that is likely computed.
     - `computed`: how likely it is that it has no errors but quantisation.
     - `independent`: as many offsets that are independent would tell sums of squares apart as well.
     - `gradient` (n, n): the covariance of half the gradient of the sum of squares by the solver's
@@ -115,10 +115,11 @@ def _weighed(stretches: Stretches, quantisation: float, odds: float) -> OutlineE
     independent[0] = px
     pull = stretches.by_move.T * stretches.share
     drawn = np.where(np.arange(len(weights)), weights, 0.0)
-    likeliest = int(np.argmax(weights))
+    mean = lambda values: float(np.exp(drawn[1:] @ np.log(values[1:]) / np.sum(drawn)))
+    errs = np.argmax(weights) > 0
     return OutlineErrors(
-        size=float(model.size[likeliest]),
-        length=float(model.length[likeliest]),
+        size=mean(model.size) if errs else 0.0,
+        length=mean(model.length) if errs else 0.0,
         computed=float(weights[0]),
         independent=float(weights @ independent),
         gradient=pull @ model.covariance(drawn) @ pull.T,
