@@ -143,7 +143,7 @@ class Refiner:
         return Candidate(found, whole, said, near, wide, covariance)
 
     def _drawn(self, found: Solution, near: Solver, surely: bool) -> tuple[Solution, Account]:
-        """A camera, and its account if the mask is drawn, of which its edge is no sign. If it is
+        """A camera, and its account if the mask is drawn though its edge does not show it. If it is
         so surely, by its pixels: the end of generalised least squares, where these come to rest."""
         drawn = replace(self, likelihood=self.likelihood.drawn)
         said = drawn.account(found.camera)
