@@ -175,7 +175,7 @@ def test_fit_finds_the_lens(fitted):
     assert abs(float(fit.camera.lens.distortion.k1) + 0.25) < 1e-3
 
 
-@pytest.mark.full
+@pytest.mark.long
 def test_prior_holds_phi_that_a_hard_mask_barely_shows(fitted):
     scene, _, mask, start, _ = fitted
     hard = np.asarray(mask) > 0.5
