@@ -143,22 +143,6 @@ def test_mesh_and_spheres_together(scene):
     assert_allclose(pj.pose_error(fit.camera, CAMERA), 0, atol=1e-8)
 
 
-@pytest.mark.full
-def test_covariance_is_that_of_refits_under_noise(scene, exhaustive):
-    random = np.random.default_rng(0)
-    image, start = drawn(CAMERA, scene), turned(CAMERA, [1, 2, 3], 1)
-    errors, spread = [], []
-    for _ in range(40 if exhaustive else 20):
-        noisy = np.clip(image + 0.004 * random.normal(size=image.shape), 0, 1)
-        # Inside and outside noise is clipped, and tells nothing of its size.
-        noisy = np.where((image > 0) & (image < 1), noisy, image)
-        fit = pj.fit_camera(scene, noisy, start)
-        errors.append(np.asarray(fit.camera.e - CAMERA.e))
-        spread.append(fit.std[3:])
-    ratio = np.sqrt(np.mean(np.square(errors), axis=0)) / np.mean(spread, axis=0)
-    assert np.all((ratio > 0.7) & (ratio < 1.4))
-
-
 @pytest.mark.long
 def test_inverted_mask_is_no_success(scene):
     inverted = 1 - drawn(CAMERA, scene)
