@@ -32,6 +32,9 @@ SMALL = 0.3
 DIFFERENCE = (
     "Orange: only the camera sees the object there; blue: only the mask has it; grey: both."
 )
+MAP = (
+    "Colours: by how much a point there, as far away as the object, would move. Line: the outline."
+)
 
 
 def write(
@@ -94,7 +97,7 @@ def page(
     shown = trust(fit, scene)
     sections = {
         "Outline": _outline(fit, scene, photo),
-        "Where the error shows": figure(shown.picture, f"{shown} Colours: px on the film."),
+        "Where the error shows": figure(shown.picture, f"{shown} {MAP}"),
         "Where mask and camera differ": differs,
         "Parameters": f"{parameters(fit, 'Fitted parameters with standard errors')}<p>Pitch, yaw"
         f" and roll are the camera's in the world. {_assumption(fit)}</p><h3>K, R and t, and the"

@@ -46,12 +46,13 @@ class Trust(NamedTuple):
         """Return it as a sentence."""
         film, edge = self.film, self.outline
         place = ", ".join(f"{x:.3g}" for x in self.point)
-        words = (
-            f"One sigma at the object's depth: {np.nanmin(film):.2g} to {np.nanmax(film):.2g} px"
-        )
+        span = f"{np.nanmin(film):.2g} to {np.nanmax(film):.2g} px"
+        words = f"An error of one sigma moves points at the object's depth by {span}"
         if edge.size:
-            words += f"; across the outline up to {edge.max():.2g} px"
-        return f"{words}; at the object up to {self.object:.2g} units of the mesh, at ({place})."
+            words += f", the outline by up to {edge.max():.2g} px"
+        return (
+            f"{words}, and the object by up to {self.object:.2g} units of the mesh, at ({place})."
+        )
 
     def _repr_svg_(self) -> str:
         return str(self.picture)
@@ -64,7 +65,7 @@ def trust(fit: Fit, scene: Scene) -> Trust:
 
     ```python
     trust = pj.plot.trust(fit, scene)
-    print(trust)  # "One sigma at the object's depth: ..."
+    print(trust)  # "An error of one sigma moves points ..."
     ```
     """
     check_fit(fit)
