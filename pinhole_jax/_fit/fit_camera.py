@@ -13,7 +13,7 @@ from .._camera.camera import Camera, camera_coordinates, check_camera
 from .._camera.lens import Lens
 from .._camera.rays import project
 from .._files.progress import say, shown
-from .._mask.edges import Pixels
+from .._mask.edges import SparseImage
 from .._mask.kinds import Kind
 from .._mask.mask import Mask
 from .._mask.target import MOST_BORDER, border_of, check_target, inside_of, levelled
@@ -281,7 +281,7 @@ def _fit(
     # 5. Status, covariance, words.
     fit = _fit_of(solver, near, mask, modes, free, edge, start is None, settings)
     weights = near.weights
-    return fit, lambda: weights.image() if isinstance(weights, Pixels) else weights
+    return fit, lambda: weights.image() if isinstance(weights, SparseImage) else weights
 
 
 def lookalikes(solver: Solver, camera: Camera) -> list[Camera]:

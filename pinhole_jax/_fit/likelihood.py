@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from .._mask.edges import Pixels
+from .._mask.edges import SparseImage
 from .._outline.outline_errors import ErrorFit, ErrorModel
 from .._rules import RULES
 from .edge import EXACT_PX, Edge, OutlinePoints, matched
@@ -239,7 +239,7 @@ def _cheapest(zero: np.ndarray, one: np.ndarray, change: np.ndarray) -> np.ndarr
     return ways
 
 
-def believed(near: Pixels, edge: Edge, gross: np.ndarray) -> Pixels:
+def believed(near: SparseImage, edge: Edge, gross: np.ndarray) -> SparseImage:
     """Weights of pixels near a mask's edge, 0 where its nearest point is not believed, and in some
     room about such points: else the camera that they were taken from is confirmed."""
     if not np.any(gross):

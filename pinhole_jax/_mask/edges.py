@@ -15,7 +15,7 @@ from .target import Window, beside, edge_distance, near_an_edge
 VISITS = 8
 
 
-class Pixels(NamedTuple):
+class SparseImage(NamedTuple):
     """Some pixels of an image (H, W): their places in the flat image, ascending, and values."""
 
     shape: tuple[int, ...]
@@ -23,7 +23,7 @@ class Pixels(NamedTuple):
     value: np.ndarray
 
     @property
-    def at(self) -> tuple[np.ndarray, np.ndarray]:
+    def rows_columns(self) -> tuple[np.ndarray, np.ndarray]:
         """Rows (from the top) and columns."""
         return np.divmod(self.place, self.shape[1])
 
@@ -41,45 +41,45 @@ class Pixels(NamedTuple):
         image.flat[self.place] = self.value
         return image
 
-    def within(self, window: Window) -> "Pixels":
-        """Return those of a window."""
-        row, column = self.at
+    def within(self, window: Window) -> "SparseImage":
+        """Return the pixels in a window."""
+        row, column = self.rows_columns
         row, column = row - (self.shape[0] - window.bottom - window.H), column - window.left
         inside = (row >= 0) & (row < window.H) & (column >= 0) & (column < window.W)
         place = (row * window.W + column)[inside]
-        return Pixels((window.H, window.W), place, self.value[inside])
+        return SparseImage((window.H, window.W), place, self.value[inside])
 
 
 #: Weights of an image (H, W).
-Weights = np.ndarray | Pixels
+Weights = np.ndarray | SparseImage
 
 
 def weights_at(weights: Weights, row: np.ndarray, column: np.ndarray) -> np.ndarray:
     """Return weights at rows (from the top) and columns."""
-    return weights.lookup(row, column) if isinstance(weights, Pixels) else weights[row, column]
+    return weights.lookup(row, column) if isinstance(weights, SparseImage) else weights[row, column]
 
 
 def within(weights: Weights, window: Window) -> Weights:
     """Return the weights of a window."""
-    return weights.within(window) if isinstance(weights, Pixels) else window.crop(weights)
+    return weights.within(window) if isinstance(weights, SparseImage) else window.crop(weights)
 
 
 def total(weights: Weights) -> float:
     """Return the sum of weights."""
-    return float(np.sum(weights.value if isinstance(weights, Pixels) else weights))
+    return float(np.sum(weights.value if isinstance(weights, SparseImage) else weights))
 
 
 def counted(weights: Weights) -> int:
     """The number of pixels that have a weight."""
-    return int(np.count_nonzero(weights.value if isinstance(weights, Pixels) else weights))
+    return int(np.count_nonzero(weights.value if isinstance(weights, SparseImage) else weights))
 
 
 def alike(weights: Weights) -> bool:
     """True if all weights are for certain the same: one number, seen as an image."""
-    return not isinstance(weights, Pixels) and weights.size > 0 and weights.strides == (0, 0)
+    return not isinstance(weights, SparseImage) and weights.size > 0 and weights.strides == (0, 0)
 
 
-def edge_band(inside: np.ndarray, reach: float) -> Pixels:
+def edge_band(inside: np.ndarray, reach: float) -> SparseImage:
     """Return the pixels of an image, of bools, that are less than `reach` + 1 (px) from one beside
     an edge, and how far they are from it."""
     edge, (H, W), margin = beside(inside), inside.shape, int(np.ceil(1 + reach))
@@ -89,7 +89,7 @@ def edge_band(inside: np.ndarray, reach: float) -> Pixels:
     if margin > 255 or len(disc) * len(edge) > VISITS * inside.size:
         distance = edge_distance(inside)
         place = np.flatnonzero(distance < 1 + reach)
-        return Pixels((H, W), place, distance.flat[place])
+        return SparseImage((H, W), place, distance.flat[place])
 
     # From the farthest on, so that the nearest have the last word. (What is not written to of
     # zeros takes no time.)
@@ -100,17 +100,19 @@ def edge_band(inside: np.ndarray, reach: float) -> Pixels:
     for k in disc[np.argsort(-squares[disc])]:
         seen[start + shifts[k]] = squares[k] + 1
     place = np.flatnonzero(seen)
-    band = Pixels(shape, place, np.sqrt(seen[place] - 1.0))
+    band = SparseImage(shape, place, np.sqrt(seen[place] - 1.0))
     return band.within(Window(margin, margin, W, H))
 
 
-def near_weights(inside: np.ndarray, weights: np.ndarray, window: Window, reach: float) -> Pixels:
+def near_weights(
+    inside: np.ndarray, weights: np.ndarray, window: Window, reach: float
+) -> SparseImage:
     """Return the weights of pixels near the edge of a mask, which lies in a window.
 
     Less the farther they are from it: none `reach` + 1 (px) away.
     """
     band, (H, W) = edge_band(window.crop(inside), reach), inside.shape
-    row, column = band.at
+    row, column = band.rows_columns
     row, column = row + H - window.bottom - window.H, column + window.left
     value = weights[row, column] * near_an_edge(band.value, reach)
-    return Pixels((H, W), row * W + column, value)
+    return SparseImage((H, W), row * W + column, value)

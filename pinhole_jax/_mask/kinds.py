@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._rules import RULES
-from .edges import Pixels, alike, counted, edge_band
+from .edges import SparseImage, alike, counted, edge_band
 from .target import as_coverage, beside, inside_of
 
 #: What of coverage is not resolved in a float type: a fit's last step leaves this much, and a sum
@@ -83,9 +83,9 @@ def kind_of(target: np.ndarray, weights: np.ndarray, dtype: Any) -> Kind:
     quiet, resolved = RESOLVED[np.dtype(np.float32 if single else np.float64)], RESOLVED[floats[0]]
     noise, far, even, spread = _noise_far_from_edges(target, weights, grey, quiet)
     threshold = max(4 * noise, 1e-3)
-    weight = weights[grey.at]
+    weight = weights[grey.rows_columns]
     used = (grey.value > threshold) & (grey.value < 1 - threshold) & (weight > 0)
-    between = Pixels(grey.shape, grey.place[used], grey.value[used])
+    between = SparseImage(grey.shape, grey.place[used], grey.value[used])
     scale = float(np.mean(weight[used])) if np.any(used) else 1.0
     # The least is rounding; the solver's last step may leave more.
     rounding = max(ROUNDING * float(np.finfo(dtype).eps), *(float(np.finfo(x).eps) for x in floats))
@@ -106,7 +106,7 @@ def kind_of(target: np.ndarray, weights: np.ndarray, dtype: Any) -> Kind:
     return Kind("soft", variance, most, least, True, alike=max(least, scale * resolved**2))
 
 
-def _grey_pixels(target: np.ndarray) -> Pixels:
+def _grey_pixels(target: np.ndarray) -> SparseImage:
     """Return the pixels of a mask that are neither 0 nor 1."""
     if target.dtype == bool:
         place = np.zeros(0, int)
@@ -114,19 +114,19 @@ def _grey_pixels(target: np.ndarray) -> Pixels:
         place = np.flatnonzero(target - np.uint8(1) < 254)  # (0 becomes 255)
     else:
         place = np.flatnonzero((target != 0) & (target != 1))
-    return Pixels(target.shape, place, as_coverage(target[np.divmod(place, target.shape[1])]))
+    return SparseImage(target.shape, place, as_coverage(target[np.divmod(place, target.shape[1])]))
 
 
 def _weight_at_edges(target: np.ndarray, weights: np.ndarray) -> float:
     """Return the mean weight of pixels at the mask's edge that have one, 1 if there are none."""
     if alike(weights):
         return float(weights.flat[0])
-    weight = weights[edge_band(inside_of(target), 1.0).at]
+    weight = weights[edge_band(inside_of(target), 1.0).rows_columns]
     return float(np.mean(weight[weight > 0])) if np.any(weight) else 1.0
 
 
 def _noise_far_from_edges(
-    target: np.ndarray, weights: np.ndarray, grey: Pixels, quiet: float
+    target: np.ndarray, weights: np.ndarray, grey: SparseImage, quiet: float
 ) -> tuple[float, float, bool, float]:
     """Return the standard deviation of pixels that are 0 or 1 for certain, the mean of their
     weighted squares, and whether the noise is the same everywhere. Last, if it is, the standard
@@ -135,7 +135,7 @@ def _noise_far_from_edges(
     Pixels that are not `grey` are off by nothing. What is off by `quiet` at most is no noise.
     """
     band = edge_band(inside_of(target), RULES.beside)
-    weight = weights[grey.at]
+    weight = weights[grey.rows_columns]
     away = (weight > 0) & ~np.isin(grey.place, band.place)
     nearest = np.round(grey.value[away])
     off = grey.value[away] - nearest
@@ -143,7 +143,7 @@ def _noise_far_from_edges(
     squares = off**2
     if not np.any(squares):
         return 0.0, 0.0, True, 0.0
-    beside = int(np.count_nonzero(weights[band.at]))
+    beside = int(np.count_nonzero(weights[band.rows_columns]))
     number = counted(weights) - beside
     mean = float(np.sum(squares)) / number
     even = float(np.sum(squares**2)) / number < 2 * RULES.times * mean**2
@@ -156,10 +156,10 @@ def _noise_far_from_edges(
     return (2 * mean if clipped else mean) ** 0.5, far, bool(even), float(even * spread)
 
 
-def _shorter_run(some: Pixels) -> np.ndarray:
+def _shorter_run(some: SparseImage) -> np.ndarray:
     """Return for each pixel how many of them stand beside one another in its row or in its column,
     the shorter way."""
-    (H, W), (row, column) = some.shape, some.at
+    (H, W), (row, column) = some.shape, some.rows_columns
     order, down = np.lexsort((row, column)), np.zeros(len(row), int)
     down[order] = _runs((column * (H + 1) + row)[order])
     return np.minimum(_runs(row * (W + 1) + column), down)
@@ -171,11 +171,11 @@ def _runs(ascending: np.ndarray) -> np.ndarray:
     return np.bincount(run.ravel())[run.ravel()]
 
 
-def _edge_width(target: np.ndarray, some: Pixels) -> float:
+def _edge_width(target: np.ndarray, some: SparseImage) -> float:
     """Return the integral of m (1 - m) across an edge, in px: 1/6 for a sharp one."""
     slopes, limit = [], np.array(target.shape)[:, None] - 1
     for step in np.eye(2, dtype=int)[..., None]:  # as `np.gradient` has it
-        before, after = (np.clip(some.at + k * step, 0, limit) for k in (-1, 1))
+        before, after = (np.clip(some.rows_columns + k * step, 0, limit) for k in (-1, 1))
         rise = as_coverage(target[tuple(after)]) - as_coverage(target[tuple(before)])
         slopes.append(rise / np.maximum(np.sum(after - before, axis=0), 1))
     slope = float(np.sum(np.hypot(*slopes)))

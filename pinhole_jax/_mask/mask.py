@@ -9,7 +9,7 @@ import numpy as np
 
 from .._camera.bent import bent
 from .._camera.camera import Camera, film_map, focal_px, principal_point
-from .edges import Pixels, alike, near_weights
+from .edges import SparseImage, alike, near_weights
 from .kinds import Kind, kind_of
 from .signatures import Signature, signatures
 from .target import as_coverage, inside_of, object_window
@@ -41,7 +41,7 @@ class Mask:
         window = object_window(self.target)
         return kind_of(window.crop(self.target), window.crop(self.weight), self.camera.e.dtype)
 
-    def near_edge(self, reach: float) -> Pixels:
+    def near_edge(self, reach: float) -> SparseImage:
         """Return the weights of pixels near the mask's edge; 0 farther than `reach` (px)."""
         made = self._made
         if reach not in made:
@@ -50,7 +50,7 @@ class Mask:
         return made[reach]
 
     @cached_property
-    def _made(self) -> dict[float, Pixels]:
+    def _made(self) -> dict[float, SparseImage]:
         """Keep the weights near the edge, by their reach."""
         return {}
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .edges import Pixels, Weights, alike, within
+from .edges import SparseImage, Weights, alike, within
 from .target import Window, as_coverage, extent_of
 
 #: Cells of a page (two to this many); pages that are worked on at a time.
@@ -108,7 +108,9 @@ def pyramid(
     images = _halvings(_Image.from_array(window.crop(target)), 0 if only_finest else depth)
     some = within(weight, window)
     weights = _weights_of_levels(some, len(images))
-    most = 1.0 if isinstance(some, Pixels) else float(some.flat[0] if alike(some) else some.max())
+    most = (
+        1.0 if isinstance(some, SparseImage) else float(some.flat[0] if alike(some) else some.max())
+    )
     integer, real = (lambda x, t=t: np.asarray(x, t) for t in (np.int32, dtype))
     rasters, levels, start = [], [], 0
     for level in reversed(range(len(images))):
@@ -162,7 +164,7 @@ def _weights_of_levels(weight: Weights, number: int) -> list[Weights]:
     """Return the weights of this many levels, each halved."""
     if alike(weight) or number == 1:
         return [weight] * number
-    whole = weight.image() if isinstance(weight, Pixels) else weight
+    whole = weight.image() if isinstance(weight, SparseImage) else weight
     return [x.values for x in _halvings(_Image(as_coverage(whole), 1.0), number - 1)]
 
 
@@ -182,7 +184,7 @@ class _Raster(NamedTuple):
         shown, one = _pages(image.values), 1.0
         zero, full = _throughout(shown, image.one)
         page = np.where(full, FULL, np.where(zero, EMPTY, -1))
-        if isinstance(weight, Pixels):
+        if isinstance(weight, SparseImage):
             (weights, none), full = _near_pages(weight), False
         elif alike(weight):
             weights = _pages(_without(np.ones(image.values.shape, np.uint8), beyond))
@@ -224,9 +226,9 @@ def _without(weight: np.ndarray, beyond: tuple[bool, bool]) -> np.ndarray:
     return weight
 
 
-def _near_pages(weight: Pixels) -> tuple[np.ndarray, np.ndarray]:
+def _near_pages(weight: SparseImage) -> tuple[np.ndarray, np.ndarray]:
     """Return the weights (number, PAGE), and which pages have none."""
-    (H, W), (row, column) = weight.shape, weight.at
+    (H, W), (row, column) = weight.shape, weight.rows_columns
     cell = (H - 1 - row) * (W + 2) + column + 1
     flat = np.zeros(_cells(weight.shape))  # (what is not written to takes no time)
     flat[cell] = weight.value

@@ -85,8 +85,10 @@ def _covered(
 
 
 def _contour(camera: Camera, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Return the contour's lines in and near the film, seen or not, as homogeneous film points
-    (n, 2, 3), and the map (3, 3) of these to offsets from the eye."""
+    """Return the contour's lines, seen or not, as homogeneous film points (n, 2, 3).
+
+    Those in and near the film; and the map (3, 3) of such points to offsets from the eye.
+    """
     check_view(camera, scene)
     curves = _curves(camera, astype(scene, camera.e.dtype))
     matrix, bounds, edges, frames = (np.asarray(x, float) for x in curves)
