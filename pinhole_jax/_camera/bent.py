@@ -1,11 +1,10 @@
 """A lens's distortion of film points, and back: arrays of any number of points."""
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from .._numerics.pointwise import pointwise
-from .camera import Camera, ResizableCamera, bend, focal_px, principal_point
+from .camera import Camera, ResizableCamera, bend
 
 
 def bent(camera: Camera, points: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
@@ -35,9 +34,5 @@ def _bent(camera: ResizableCamera, points: Array) -> Array:
 
 @pointwise
 def _straightened(camera: ResizableCamera, points: Array) -> Array:
-    if (distortion := camera.distortion) is None:
-        return points
-    focal, centre = jnp.stack(focal_px(camera)), principal_point(camera)
-    seen = ((points[..., k] - centre[k]) / focal[k] for k in range(2))
-    ideal = distortion.undistorted(*seen)
-    return jnp.stack([focal[k] * x + centre[k] for k, x in enumerate(ideal)], axis=-1)
+    lens = bend(camera)
+    return points if lens is None else lens.undone(points)

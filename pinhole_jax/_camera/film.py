@@ -1,6 +1,7 @@
 """The film: homogeneous film points, a lens's bend, and the part of the film in view."""
 
 import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -47,9 +48,15 @@ class Bend(eqx.Module):
 
     def __call__(self, points: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
         """Distorted film points (px) of ideal ones."""
-        ideal = ((points[..., k] - self.centre[k]) / self.focal[k] for k in range(2))
-        seen = self.distortion.continued(self.trusted, *ideal)
-        placed = [f * x + c for f, x, c in zip(self.focal, seen, self.centre, strict=True)]
+        return self._mapped(functools.partial(self.distortion.continued, self.trusted), points)
+
+    def undone(self, points: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
+        """Ideal film points (px) of distorted ones."""
+        return self._mapped(self.distortion.undistorted, points)
+
+    def _mapped(self, way: Callable[[Array, Array], tuple[Array, Array]], points: Array) -> Array:
+        x, y = ((points[..., k] - self.centre[k]) / self.focal[k] for k in range(2))
+        placed = [f * x + c for f, x, c in zip(self.focal, way(x, y), self.centre, strict=True)]
         return jnp.stack(placed, axis=-1)
 
     def around(self, part: FilmPart) -> Float[Array, "4"]:

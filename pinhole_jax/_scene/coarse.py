@@ -9,7 +9,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
-from .scene import Mesh
+from .scene import Mesh, grid_cells
 from .topology import edge_records
 
 #: A mesh is coarsened from this many faces on.
@@ -36,12 +36,7 @@ def _joined(
     vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
 ) -> tuple[Float[np.ndarray, "W 3"], Int[np.ndarray, "G 3"]]:
     """Return the mean vertex of each cell of a grid, and the faces with corners in three cells."""
-    low, high = (f(axis=0).astype(float) for f in (vertices.min, vertices.max))
-    size = max(float(np.max(high - low)), np.finfo(float).tiny)
-    number = np.zeros(len(vertices), np.int32)
-    for k in range(3):
-        place = ((vertices[:, k] - low[k]) * (CELLS / size)).astype(np.int32)
-        number = number * CELLS + np.minimum(place, CELLS - 1)
+    number = grid_cells(vertices, CELLS) @ np.array([CELLS**2, CELLS, 1])
     count = np.bincount(number, minlength=CELLS**3)
     middles = [np.bincount(number, vertices[:, k], CELLS**3)[count > 0] for k in range(3)]
 

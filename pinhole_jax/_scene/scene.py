@@ -20,6 +20,7 @@ from .._numerics.arrays import (
     is_concrete,
     stands_alone,
 )
+from .._numerics.pointwise import room
 from .._numerics.safe import binary_scale
 from .topology import edge_records, without_copies
 
@@ -218,8 +219,7 @@ def _filled_sizes(vertices: int, faces: int, edges: int) -> tuple[int, int, int]
     for most in FILLED_UP:
         if max(vertices, faces) <= most and 2 * edges <= 3 * most:
             return most, most, 3 * most // 2
-    up = lambda size: size + -size % (1 << max(size.bit_length() - 3, 6))
-    return up(vertices), up(faces), up(edges)
+    return room(vertices), room(faces), room(edges)
 
 
 def front_facing(mesh: Mesh, e: Float[Array, "3"]) -> Bool[Array, "F"]:
@@ -281,13 +281,20 @@ def morton_order(points: Float[Array, "N 3"]) -> Int[Array, "N"]:
 
 def morton_codes(points: Float[Array | np.ndarray, "N 3"]) -> UInt32[Array | np.ndarray, "N"]:
     """Return the Morton codes of at least one point, 10 bits an axis."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    extent = (high - low).max(initial=np.finfo(points.dtype).tiny)
-    cell = ((points - low[None]) / extent * 1024).clip(0, 1023).astype(np.uint32)
+    cell = grid_cells(points, 1024)
     spread = cell & 1
     for bit in range(1, 10):
         spread |= ((cell >> bit) & 1) << (3 * bit)
     return spread[:, 0] | spread[:, 1] << 1 | spread[:, 2] << 2
+
+
+def grid_cells(
+    points: Float[Array | np.ndarray, "N 3"], number: int
+) -> UInt32[Array | np.ndarray, "N 3"]:
+    """Return the cells of at least one point, this many along the longest side of a box."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    extent = (high - low).max(initial=np.finfo(points.dtype).tiny)
+    return ((points - low[None]) / extent * number).clip(0, number - 1).astype(np.uint32)
 
 
 def rounding_warning(points: np.ndarray, name: str = "vertices") -> str:

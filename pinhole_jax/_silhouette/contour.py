@@ -20,7 +20,7 @@ from .._native.rasteriser import sphere_frames
 from .._numerics.safe import binary_inverse, norm, safe_divide
 from .._scene.scene import Mesh, Scene, Spheres, front_facing
 from .clip import Curve, Homogeneous, cut_off
-from .conics import arc_end, film_at, homogeneous
+from .conics import arc_end, film_at
 from .pieces import Arcs, Monotone
 from .spheres import ARCS_PER_SPHERE, Arc, arc_within, shown_arcs
 
@@ -159,20 +159,18 @@ class Contour(NamedTuple):
 
     def _carried(self, moving: Moving, curve: Array, share: Array) -> Float[Array, "K 2"]:
         """Points fixed on the curves, as functions of the variables."""
-        at, change = self._ideal(curve, share), jnp.zeros((len(curve), 2), self.tail.dtype)
+        at = self._ideal(curve, share)
         if self.ends is not None and self.points is not None and moving.points is not None:
-            edge, E = curve, self.ends.shape[0]
-            own = self.ends[jnp.minimum(edge, E - 1)]
-            shares = jnp.where(edge[:, None] < E, _shares(self.points[own], at), 0)
-            change += _moved(moving.points[own], shares, at)
-        if self.arcs is not None and self.frames is not None and moving.frames is not None:
+            E = self.ends.shape[0]
+            own = self.ends[jnp.minimum(curve, E - 1)]
+            shares = jax.lax.stop_gradient(_shares(self.points[own], at))
+            total = jnp.sum(shares[..., None] * moving.points[own], axis=1)
+            place = safe_divide(total[:, :2], total[:, 2:])
+            at = jnp.where(curve[:, None] < E, place, at)
+        if self.arcs is not None and moving.frames is not None:
             arc = self._arc(curve)
-            w, sphere = self._turned(arc, share), self._sphere(arc)
-            depth = homogeneous(self.frames[sphere], w)[:, 2:]
-            shares = safe_divide(jnp.concatenate([jnp.ones_like(depth), w], axis=1), depth)
-            shares = jnp.where(arc[:, None] >= 0, shares, 0)
-            change += _moved(moving.frames[sphere], shares, at)
-        at = at + change - jax.lax.stop_gradient(change)
+            place = film_at(moving.frames[self._sphere(arc)], self._turned(arc, share))
+            at = jnp.where(arc[:, None] >= 0, place, at)
         if moving.bend is None:
             return at
         held = jax.lax.stop_gradient(moving.bend.trusted)
@@ -243,22 +241,12 @@ def _arcs(
 
 
 def _shares(ends: Float[Array, "K 2 3"], at: Float[Array, "K 2"]) -> Float[Array, "K 2"]:
-    """The shares in which points of edges move with the edges' ends, over depth."""
+    """The shares of edges' ends, as homogeneous points, that points between them are."""
     scale = binary_inverse(jnp.max(jnp.abs(ends), axis=-1))
     ends = ends * scale[..., None]
-    a, b = ends[:, 0], ends[:, 1]
-    line = jnp.cross(a, b)
+    line = jnp.cross(ends[:, 0], ends[:, 1])
     steep = jnp.abs(line[:, 0]) > jnp.abs(line[:, 1])
     past = ends[..., :2] - at[:, None] * ends[..., 2:]
     past = jnp.where(steep[:, None], past[..., 1], past[..., 0])
     t = jnp.clip(safe_divide(past[:, 0], past[:, 0] - past[:, 1]), 0, 1)
-    depth = a[:, 2] + t * (b[:, 2] - a[:, 2])
-    return safe_divide(jnp.stack([1 - t, t], axis=-1), depth[:, None]) * scale
-
-
-def _moved(
-    rows: Float[Array, "K n 3"], shares: Float[Array, "K n"], at: Float[Array, "K 2"]
-) -> Float[Array, "K 2"]:
-    """The motion at film points of weighted sums of homogeneous points."""
-    total = jnp.sum(jax.lax.stop_gradient(shares)[..., None] * rows, axis=1)
-    return total[:, :2] - jax.lax.stop_gradient(at) * total[:, 2:]
+    return jnp.stack([1 - t, t], axis=-1) * scale
