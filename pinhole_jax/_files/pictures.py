@@ -39,7 +39,7 @@ def from_picture(path: Any, kind: str, read: Callable[[Image], Any]) -> Any:
                 image = Image.open(stream, formats=FORMATS)
                 if image.format == "WEBP" and image.width * image.height > MOST_WEBP:
                     raise ValueError(f"a WebP of more than {MOST_WEBP} pixels")
-                bottoms = [tile[1][3] for tile in image.tile if tile[1]]
+                bottoms = [box[3] for _, box, *_ in image.tile if box]
                 if max(bottoms, default=image.height) < image.height:
                     raise ValueError("rows are missing")  # (a TIFF's count may be wrong)
                 ImageOps.exif_transpose(image, in_place=True)  # upright
