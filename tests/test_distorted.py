@@ -196,7 +196,7 @@ def test_bounds_are_kept(fitted):
         for low in (-0.1, -0.4)
     )
     assert -0.1 <= float(held.camera.lens.distortion.k1) < -0.09
-    assert held.status == "rank_deficient"
-    assert held.weak[-1] == "k1 is held at an end of its bounds"
+    assert held.status == "misfit"  # (An exact mask shows that the bounds are wrong.)
+    assert "k1 is held at an end of its bounds" in held.weak
     assert inside.status == "converged"
     assert abs(float(inside.camera.lens.distortion.k1) + 0.25) < 1e-3

@@ -80,7 +80,7 @@ def fit_camera(
     - `prior`: mean and standard deviation of free parameters, in their units, by the names of
       `Fit.names` (not of rotations). The mask's weight against it follows from its residuals.
     - `bounds`: (low, high) of a free phi, aspect or coefficient of distortion. A parameter that
-      ends at a bound is no longer determined: the status is then "rank_deficient".
+      ends at a bound is no longer determined: the status is "rank_deficient" at best.
     - `max_steps`: a limit for each level.
     - `progress`: True shows a line on stderr, None only in notebooks; a function is called with a
       `Progress` after each level, or with `record` after each step.
@@ -242,14 +242,15 @@ def _fit(
         places = from_start(solver, mask, start, on_stop)
     say("last level: looking for other views that fit")
     exact = places.best.view.touched_misfit <= RULES.exact * mask.usual_weight
-    if reach is None or (exact and is_computed(mask_errors(solver, places.best.view))):
+    computed = solver.kind.exact or is_computed(mask_errors(solver, places.best.view))
+    if reach is None or (exact and computed):
         ended = to_the_end(solver, [places.best, *places.others])
         modes = [_Mode(f, f.view.sums, mask_errors(solver, f.view)) for f in ended]
         free, near, edge = free_about(solver, ended[0], places), solver, None
     else:
         # 2. Refine each on the part of the mask's edge that it believes.
-        computed = solver.kind.exact and is_explained(solver, places.best.view)
-        refiner = Refiner.on(solver, mask, reach, settings.differentiable or computed)
+        explained = solver.kind.exact and is_explained(solver, places.best.view)
+        refiner = Refiner.on(solver, mask, reach, settings.differentiable or explained)
         alike = [places.best, *places.others]
         found = refiner.candidates([*alike, *places.rivals], start)
         best, *_ = kept = likeliest(found, min(len(alike), len(found)), start)

@@ -109,7 +109,7 @@ def _curves(camera: Camera, scene: Scene) -> tuple[Array, Array, Array, Array]:
         on = contour_weights(mesh, camera.e) != 0
         edges = jnp.where(on[:, None, None], film(mesh.vertices)[mesh.edge_vertices], 0)
     if spheres is not None:
-        outside = norm(spheres.centers - camera.e) > spheres.radii
+        outside = norm(spheres.centers - camera.e[None]) > spheres.radii
         frames = sphere_frames(film, spheres).reshape(-1, 3, 3)
         frames = jnp.where(outside[:, None, None], frames, 0)
     return film.matrix, film.bounds, edges, frames
