@@ -4,7 +4,7 @@
 
 Each reader has a process with a limit of memory; a bell rings after 5 s of the processor. libFuzzer
 (atheris) damages a valid file and keeps what reaches new branches, until one breaks the contract:
-then it ends with 1. Here and in `test_garbage` files are damaged at random, too.
+then it ends with 1. Where that is missing, and in `test_garbage`, files are damaged at random.
 """
 
 import argparse
@@ -20,6 +20,8 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
+import traceback
 from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
@@ -79,6 +81,8 @@ MESHES: dict[str, list[dict[str, Any]]] = {
     "glb": [{}],
     "gltf": [{"embed_buffers": True, "merge_buffers": True}],
 }
+#: Compressions of a TIFF that not all modes have.
+COMPRESSED = {"jpeg": ("L", "RGB"), "group4": ("1",)}
 #: Kinds of pictures: Pillow's modes, and what they are saved with.
 PICTURES: dict[str, tuple[tuple[str, ...], list[dict[str, Any]]]] = {
     "png": (("L", "1", "P", "RGBA", "I;16"), [{}]),
@@ -146,6 +150,8 @@ def pictures(mask: np.ndarray, kind: str) -> Iterator[bytes]:
     modes, options = PICTURES[kind]
     grey = Image.fromarray(np.round(255 * mask[::4, ::4]).astype(np.uint8))
     for mode, option in itertools.product(modes, options):
+        if mode not in COMPRESSED.get(option.get("compression", ""), modes):
+            continue
         with contextlib.suppress(OSError), io.BytesIO() as file:  # (not all go together)
             grey.convert("L").convert(mode).save(file, kind.replace("pgm", "ppm"), **option)
             yield file.getvalue()
@@ -201,8 +207,6 @@ def broken(target: Target, path: Path) -> BaseException | None:
 
 def guided(target: Target, path: Path, seconds: float, keep: Path) -> None:
     """Read what libFuzzer makes of a valid file; ends the process, with 77 at a wrong error."""
-    if atheris is None:
-        sys.exit("atheris is missing: pip install --group fuzz")
     corpus = path.parent / "corpus"
     corpus.mkdir()
     for k, data in enumerate(target.valid):
@@ -221,6 +225,20 @@ def guided(target: Target, path: Path, seconds: float, keep: Path) -> None:
     )
     atheris.Setup([sys.argv[0], *ways, f"-artifact_prefix={keep}/", str(corpus)], read)
     atheris.Fuzz()
+
+
+def at_random(target: Target, path: Path, seconds: float, keep: Path) -> None:
+    """Read damaged files, and end the process with 1 at a wrong error."""
+    chance, end = np.random.default_rng(0), time.process_time() + seconds
+    for count in itertools.count():
+        if time.process_time() > end:
+            print(f"{count} inputs", flush=True)
+            return
+        path.write_bytes(damaged(target.valid, chance))
+        if (error := broken(target, path)) is not None:
+            (keep / path.name).write_bytes(path.read_bytes())
+            traceback.print_exception(error)
+            sys.exit(1)
 
 
 def limit_memory() -> None:
@@ -255,7 +273,8 @@ def main() -> int:
         asked.keep.mkdir(exist_ok=True)
         signal.signal(signal.SIGPROF, ring)
         limit_memory()
-        guided(target, Path(name) / target.file, seconds, asked.keep)
+        fuzz = at_random if atheris is None else guided
+        fuzz(target, Path(name) / target.file, seconds, asked.keep)
         return 0
 
 
