@@ -234,7 +234,7 @@ class Refiner:
         if said is None:
             return False
         sums = candidate.whole.sums
-        astray = float(sums.overlap) < (1 - RULES.small) * float(sums.union)
+        astray = float(sums.overlap) < (1 - RULES.astray) * float(sums.union)
         hidden = max(said.hidden(self.edge, RULES.small), said.missing) > RULES.little
         return hidden or (astray and said.errors.size > self.outlier_px)
 
