@@ -146,7 +146,8 @@ class Rules:
     @property
     def rough(self) -> tuple[tuple[float, float, float], ...]:
         """The shapes that stretches show: how areas are shared out among them is rough."""
-        return tuple((power, own, 0) for power, own, whole in self.shapes if power == 1 and whole)
+        rough = ((power, own, 0) for power, own, _ in self.shapes if power == 1)
+        return tuple(dict.fromkeys(rough))
 
     @property
     def stretch(self) -> float:

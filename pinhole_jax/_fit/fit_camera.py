@@ -22,7 +22,7 @@ from .._outline.outline_errors import OutlineErrors, is_computed, is_drawn
 from .._outline.statistics import is_explained, mask_errors
 from .._rules import RULES
 from .._scene.scene import Scene, check_scene
-from .._solver.looks import Sums
+from .._solver.looks import Sums, View
 from .._solver.moves import Bounds, canonical
 from .._solver.parameters import check_free, focal_is_free, in_one, with_lens
 from .._solver.priors import Pair, Prior, bounds_of, prior_of
@@ -211,8 +211,8 @@ class Settings(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class _Mode:
     """A camera that may be right: what was `found`, the sums `over_all` pixels, how the mask's
-    outline errs. If the mask is not exact, the account of its edge; if that is drawn, the camera's
-    covariance (n, n) by moves."""
+    outline errs. If the mask is not exact, the account of its edge; if that is not surely computed,
+    the camera's covariance (n, n) by moves."""
 
     found: Solution
     over_all: Sums
@@ -241,9 +241,7 @@ def _fit(
     else:
         places = from_start(solver, mask, start, on_stop)
     say("last level: looking for other views that fit")
-    exact = places.best.view.touched_misfit <= RULES.exact * mask.usual_weight
-    computed = solver.kind.exact or is_computed(mask_errors(solver, places.best.view))
-    if reach is None or (exact and computed):
+    if reach is None or _leaves_nothing(solver, places.best.view, mask):
         ended = to_the_end(solver, [places.best, *places.others])
         modes = [_Mode(f, f.view.sums, mask_errors(solver, f.view)) for f in ended]
         free, near, edge = free_about(solver, ended[0], places), solver, None
@@ -283,6 +281,13 @@ def _fit(
     fit = _fit_of(solver, near, mask, modes, free, edge, start is None, settings)
     weights = near.weights
     return fit, lambda: weights.image() if isinstance(weights, SparseImage) else weights
+
+
+def _leaves_nothing(solver: Solver, view: View, mask: Mask) -> bool:
+    """True if a view leaves so little of a mask, surely computed, that it has no outliers."""
+    if view.touched_misfit > RULES.exact * mask.usual_weight:
+        return False
+    return solver.kind.exact or is_computed(mask_errors(solver, view))
 
 
 def lookalikes(solver: Solver, camera: Camera) -> list[Camera]:

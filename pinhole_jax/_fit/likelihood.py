@@ -8,6 +8,7 @@ each of its ends log N, since it may be at any block. Outline that the mask has 
 that nothing hides, costs as much.
 """
 
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -100,10 +101,10 @@ class _Segmentation:
 
 class Likelihood:
     """The likelihood of a mask's edge, whose pixels' quantisation leaves them this mean square; the
-    mask may be `computed`, or is drawn."""
+    mask may be computed or drawn."""
 
-    def __init__(self, edge: Edge, quantisation: float, computed: bool = True):
-        self.edge, self._computed = edge, computed
+    def __init__(self, edge: Edge, quantisation: float):
+        self.edge, self._computed = edge, True
         self._blocks = edge.blocks(RULES.stretches, RULES.stretch)
         self._rounding = max(quantisation, EXACT_PX**2)
 
@@ -123,10 +124,12 @@ class Likelihood:
         variance = self._rounding / float(np.mean(self._blocks.length))
         return ErrorModel(self._middles, variance, lengths, shapes)
 
-    @property
+    @cached_property
     def drawn(self) -> "Likelihood":
-        """The likelihood if the mask is surely drawn."""
-        return Likelihood(self.edge, self._rounding, computed=False)
+        """The likelihood if the mask is surely drawn, by the same models."""
+        drawn = copy(self)
+        drawn._computed = False
+        return drawn
 
     def account(self, outline: OutlinePoints | None, roughly: bool = False) -> Account | None:
         """The account by a camera that sees an outline; None where there is none. `roughly`: with
@@ -173,11 +176,12 @@ class Likelihood:
             return None
         if len(some) == 1 and not roughly:
             return weighed(some[0], self._fine)
-        likeliest = sorted((weighed(x, self._rough) for x in some), key=lambda x: -x.log)
+        tried = [weighed(x, self._rough) for x in some]
         # Where an occluder meets the outline, a camera can be turned onto a part of it.
-        wider = (_widened(likeliest[0].gross, by) for by in WIDER if np.any(likeliest[0].gross))
-        likeliest += [weighed(x, self._rough) for x in wider if np.mean(x) <= 1 - RULES.small]
-        likeliest.sort(key=lambda x: -x.log)
+        first = max(tried, key=lambda x: x.log).gross
+        wider = [_widened(first, by) for by in WIDER] if np.any(first) else []
+        tried += [weighed(x, self._rough) for x in wider if np.mean(x) <= 1 - RULES.small]
+        likeliest = sorted(tried, key=lambda x: -x.log)
         if roughly:
             return likeliest[0]
         return max((weighed(x.gross, self._fine) for x in likeliest[:2]), key=lambda x: x.log)

@@ -85,12 +85,11 @@ class Refiner:
         first ones, or where these are proposals beside a `best` likelihood (its logarithm) the
         likeliest."""
         begun = [(found, self.account(found.camera, roughly=True)) for found in cameras]
-        order = sorted(begun, key=lambda pair: -np.inf if pair[1] is None else -pair[1].log)
-        likely = {id(found) for found, _ in order[: RULES.turns]}
-        begun = order if best is not None else begun
-        begun = [pair for pair in begun if id(pair[0]) in likely]
+        logs = [np.inf if said is None else said.log for _, said in begun]
+        likely = sorted(range(len(begun)), key=lambda k: -logs[k])[: RULES.turns]
         done: list[Candidate] = []
-        for found, said in begun:
+        for k in sorted(likely) if best is None else likely:
+            found, said = begun[k]
             log = max((c.log for c in done), default=-np.inf if best is None else best)
             made = self._refined(found, said, start, log, [c.found.camera for c in done])
             done += [] if made is None else [made]

@@ -254,8 +254,8 @@ def progress_at(stop: Stop, camera: Camera) -> Progress:
 
 class Context(NamedTuple):
     """What is known beside a view: the mask's kind, bounds, the directions found to be free, how
-    the outline errs; a residual's variance if known better; of the likeliest camera, where that is
-    not the one of least squares, the `covariance` (n, n) by moves."""
+    the outline errs; a residual's variance if known better; where the likelihood gives it, the
+    `covariance` (n, n) by moves."""
 
     kind: Kind
     bounds: Bounds | None = None

@@ -197,13 +197,12 @@ class ErrorModel:
 
         # Hypotheses: a covariance and a bias. (Computed or drawn: nothing speaks for one.)
         times, px, likely = np.array(RULES.biases).T
-        covariance = np.repeat(np.arange(len(size)), [1] + [len(px)] * (len(size) - 1))
+        self._of = of = np.repeat(np.arange(len(size)), [1] + [len(px)] * (len(size) - 1))
         bias = np.hypot(times * size[1:, None], px).ravel()
-        self._of = covariance
-        self._kind, self._far, self._near = kind[covariance], far[covariance], near[covariance]
+        self._kind, self._far, self._near = kind[of], far[of], near[of]
         self._bias = np.concatenate([[0], bias])
         self._prior = np.concatenate([[1], np.tile(likely, len(size) - 1) / (len(size) - 1)]) / 2
-        self.size = size[covariance]
+        self.size = size[of]
         self.length = np.array([0.0, *(length for length, *_ in kinds)])[self._kind]
 
     def evidence(
@@ -260,7 +259,8 @@ class ErrorModel:
         from scipy.special import logsumexp
 
         found = self.evidence(offset, by_move, gross)
-        found.log[0] += 0.0 if computed else -np.inf
+        if not computed:
+            found.log[0] = -np.inf
         total: Any = logsumexp(found.log)
         share, likeliest = np.exp(found.log - total), int(np.argmax(found.log))
         move = _mode(found)
