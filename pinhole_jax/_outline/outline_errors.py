@@ -6,11 +6,11 @@ of squares tells two cameras apart less well. The offset of the mask's outline f
 stretch by stretch, shows how large such errors are and how far they reach.
 
 The offsets y (px, outwards) at N stretches are taken as X t + b + g + q: the camera's own error t
-by the derivatives X, a bias b of the whole outline, errors g, and quantisation q. A share of g is
-each stretch's own; the rest has covariance exp(-(distance/length)^power), rough or smooth. What
-the camera absorbs does not show, so sizes, lengths and shapes are weighed by their restricted
-likelihood (Patterson and Thompson 1971: t and b integrated out). The hypothesis that the mask is
-computed (q alone) is among them; a covariance is the mean of the hypotheses'.
+by the derivatives X, a bias b of the whole outline, errors g, and quantisation q. The covariance of
+g is exp(-(distance/length)^power), rough or smooth. What the camera absorbs does not show, so
+sizes, lengths and shapes are weighed by their restricted likelihood (Patterson and Thompson 1971: t
+and b integrated out). The hypothesis that the mask is computed (q alone) is among them; a
+covariance is the mean of the hypotheses'.
 """
 
 from collections.abc import Sequence
@@ -29,6 +29,8 @@ from .stretches import Stretches, stretches_of
 STRAIGHT = 2**0.5
 #: At least so much of an outline is within a pixel of the mask's.
 LEAST_RATE = 0.1
+#: The shape that stretches show: how areas are shared out among them is rough.
+ROUGH = ((1, 0),)
 #: Each stretch errs by itself by at least this share of the variance: where errors are smooth
 #: rounding would decide.
 NUGGET = 1e-6
@@ -104,7 +106,7 @@ def _weighed(stretches: Stretches, quantisation: float, odds: float) -> OutlineE
     px = float(np.sum(stretches.length))
     crowded = max(1.0, stretches.pixels / px / STRAIGHT)
     rounding = quantisation * crowded / float(np.mean(stretches.length))
-    model = ErrorModel(stretches.at, rounding, RULES.lengths, RULES.rough)
+    model = ErrorModel(stretches.at, rounding, RULES.lengths, ROUGH)
     logs = model.evidence(offset, stretches.by_move).log
     logs[0] += odds
     weights = np.exp(logs - logs.max())
@@ -175,7 +177,7 @@ class ErrorModel:
         at: np.ndarray,
         quantisation: float,
         lengths: Sequence[float],
-        shapes: Sequence[tuple[float, float, float]],
+        shapes: Sequence[tuple[int, int]],
     ):
         """Places (N, 2) in px, and the variance that quantisation leaves in an offset."""
         kinds = [(length, *shape) for length in lengths for shape in shapes]
@@ -187,9 +189,8 @@ class ErrorModel:
         sizes = len(RULES.sizes)
         kind = np.concatenate([[0], np.repeat(1 + np.arange(len(kinds)), sizes)])
         size = np.concatenate([[0], np.tile(RULES.sizes, len(kinds))])
-        own = np.array([0.0, *(own for _, _, own, _ in kinds)])[kind]
-        far = size**2 * (1 - own)
-        near = np.maximum(size**2 * own + RULES.alike * quantisation, NUGGET * far)
+        far = size**2
+        near = np.maximum(RULES.alike * quantisation, NUGGET * far)
         covariances = far[:, None, None] * self._correlation[kind]
         covariances += near[:, None, None] * np.eye(len(at))
         self._precision = np.linalg.inv(covariances)
@@ -287,12 +288,10 @@ class ErrorModel:
         return (count * (far + near)) ** 2 / (alike + (2 * far * near + near**2) * count)
 
 
-def _correlation(
-    distance: np.ndarray, length: float, power: float, own: float, whole: float
-) -> np.ndarray:
-    """The correlation (N, N) of errors at places these distances (N, N) apart, but for each one's
-    own: they fall off by that power of the distance, over a length; and `whole` times as much errs
-    over as far as the outline reaches."""
+def _correlation(distance: np.ndarray, length: float, power: int, whole: int) -> np.ndarray:
+    """The correlation (N, N) of errors at places these distances (N, N) apart: they fall off by
+    that power of the distance, over a length; and `whole` times as much errs over as far as the
+    outline reaches."""
     reach = float(np.sqrt(np.mean(distance**2)))
     fall = lambda length: np.exp(-((distance / length) ** power))
     return (fall(length) + whole * fall(reach)) / (1 + whole)
