@@ -128,8 +128,9 @@ class Refiner:
             for camera in [begin] if start is None else [begin, start]:
                 if not near.look(camera, near.finest).squares >= found.view.squares:
                     found, said = self._least_squares(near, found._replace(camera=camera))
-            near = self._near(1.0, said)  # (What is believed may have changed.)
-            found, said = self._least_squares(near, found)
+            near, before = self._near(1.0, said), near
+            if not all(map(np.array_equal, near.weights, before.weights)):
+                found, said = self._least_squares(near, found)  # of what is believed now
         some = said is not None and np.any(said.gross)
         wide = self._near(RULES.times, said) if some else self.solver
         errors = mask_errors(wide, found.view)
@@ -201,10 +202,11 @@ class Refiner:
 
     def is_free(self, candidate: Candidate, free: Free, others: Sequence[Candidate]) -> bool:
         """Whether cameras far away may be as likely in a direction that squares call free: some of
-        the others, or those that strides lead to."""
+        the others as near as that goes, or those that strides lead to. (A twin is another mode.)"""
         least, at = candidate.log - RULES.times**2 / 2, candidate.found.camera
-        far = [c for c in others if angle(c.found.camera, at) > RULES.start]
-        if any(c.log >= least for c in far):
+        reach = max(free.ahead, free.behind)
+        likely = (c for c in others if c.log >= least)
+        if any(RULES.start < angle(c.found.camera, at) <= reach for c in likely):
             return True
         strides = np.clip([free.ahead, -free.behind], -RULES.start, RULES.start)
         return any(x != 0 and self._leads_away(candidate, x, free.move) for x in strides)
