@@ -10,6 +10,7 @@ import pytest
 from chosen import full
 from jax.custom_derivatives import linear_call
 from jax.lax import stop_gradient
+from refusals import refusal, refuses
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
@@ -230,22 +231,19 @@ def test_certificate_prints_as_a_table():
     assert str(found).startswith("passed: 17 derivatives, forward and reverse\n")
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"image": lambda c, s: jnp.zeros((W, H))}, r"`image`: .* \(24, 32\), got .*\(32, 24\)"),
-        ({"image": lambda c, s: jnp.zeros((H, W), int)}, "`image`: .* got int64 of shape"),
-        ({"image": lambda c, s: (blob(c, s),)}, "`image`: .* got tuple"),
-        ({"tolerance": 0.0}, "`tolerance`: expected a positive number, got 0.0"),
-        ({"directions": 0}, "`directions`: expected at least 1, got 0"),
-    ],
+test_bad_input_is_refused = refuses(
+    pj.check_gradients,
+    {"camera": camera(), "scene": SCENE, "image": blob, "verbose": False},
+    {
+        r"`image`: .* \(24, 32\), got .*\(32, 24\)": {"image": lambda c, s: jnp.zeros((W, H))},
+        "`image`: .* got int64 of shape": {"image": lambda c, s: jnp.zeros((H, W), int)},
+        "`image`: .* got tuple": {"image": lambda c, s: (blob(c, s),)},
+        "`tolerance`: expected a positive number, got 0.0": {"tolerance": 0.0},
+        "`directions`: expected at least 1, got 0": {"directions": 0},
+    },
 )
-def test_bad_input_is_refused(change, message):
-    arguments = {"camera": camera(), "scene": SCENE, "image": blob, "verbose": False} | change
-    with pytest.raises(ValueError, match=message):
-        pj.check_gradients(**arguments)
 
 
 def test_traced_input_is_refused():
-    with pytest.raises(ValueError, match="`camera`: expected values, got traced ones"):
+    with refusal("`camera`: expected values, got traced ones"):
         eqx.filter_jit(lambda c: pj.check_gradients(c, SCENE, verbose=False).passed)(camera())

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from refusals import refusal
+from refusals import refusal, refuses
 from test_distortion import BROWN, camera as lens_camera
 
 import pinhole_jax as pj
@@ -346,19 +346,39 @@ def test_files_are_never_half_written(tmp_path, monkeypatch):
     assert [p.name for p in tmp_path.iterdir()] == ["c.yaml"]
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"R": "x"}, r"`R`: expected finite numbers of shape \(3, 3\), got 'x'"),
-        ({"image_size": (6.5, 8)}, "`H`: expected an integer of at least 1, got 6.5"),
-        ({"fov": 1.0}, "expected `focal_length` or `fov`, got both or neither"),
-        ({"focal_length": [1, 2, 3]}, "`focal_length`: expected one number or two"),
-    ],
+test_wrong_pytorch3d_arguments_are_refused = refuses(
+    formats.from_pytorch3d,
+    {"R": np.eye(3), "T": [0, 0, 3], "image_size": (6, 8), "focal_length": 1.0},
+    {
+        r"`R`: expected finite numbers of shape \(3, 3\), got 'x'": {"R": "x"},
+        "`H`: expected an integer of at least 1, got 6.5": {"image_size": (6.5, 8)},
+        "expected `focal_length` or `fov`, got both or neither": {"fov": 1.0},
+        "`focal_length`: expected one number or two": {"focal_length": [1, 2, 3]},
+    },
 )
-def test_wrong_pytorch3d_arguments(change, message):
-    good = {"R": np.eye(3), "T": [0, 0, 3], "image_size": (6, 8), "focal_length": 1.0}
-    with refusal(message):
-        formats.from_pytorch3d(**{**good, **change})
+
+DIAGONAL = np.diag([70.0, 70, 1])
+test_wrong_opencv_arguments_are_refused = refuses(
+    formats.from_opencv,  # (and so `Camera.from_K`)
+    {"K": DIAGONAL, "R": np.eye(3), "t": [0, 0, 3], "W": 64, "H": 48, "pixel_centres": "half"},
+    {
+        "`R`: expected a rotation matrix": {"R": 2 * np.eye(3)},
+        "`R`: expected a rotation": {"R": -np.eye(3)},
+        "`R`: expected a real array of shape": {"R": [[1], [2, 3]]},
+        "`t`: expected finite values, got nan at index .2": {"t": [0, 0, np.nan]},
+        "`t`: expected a real array of shape .* got None": {"t": None},
+        "`pixel_centres`: expected 'integer' or 'half', got 'corner'": {"pixel_centres": "corner"},
+        "`pixel_centres`: expected 'integer' or": {"pixel_centres": np.array(["half"] * 2)},
+        "`K`: expected no skew, got 1": {"K": DIAGONAL + np.eye(3, k=1)},
+        r"`K`: expected \[\[fx, 0, cx\]": {"K": np.zeros((3, 3))},
+        "`K`: expected positive focal lengths .*fy = -70": {"K": np.diag([70.0, -70, 1])},
+        "`K`: expected positive focal lengths .*fy = 1e.200": {"K": np.diag([70.0, 1e200, 1])},
+        r"`K`: expected a real array of shape \(3, 3\), got": {"K": [[70, 0], [0, 70, 1]]},
+        r"`K`: expected a real array of shape \(3, 3\), got 'K'": {"K": "K"},
+        "`W`: expected an integer of at least 1, got None": {"W": None},
+        "`H`: expected an integer of at least 1, got '48'": {"H": "48"},
+    },
+)
 
 
 def test_pixel_centres_of_a_file_are_those_that_it_names(tmp_path):
