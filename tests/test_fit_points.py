@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from arm import check_slope
 from chosen import full, long, on_cpu
-from oracles import turned
+from oracles import central_difference, turned
 from refusals import refusal, refuses
 
 import pinhole_jax as pj
@@ -71,13 +71,9 @@ def test_points_in_float64_are_no_matter_to_warn_of_where_jax_has_float32():
     truth = near(EYES[1], phi=0.85)
     seen_at = seen(truth, SOLID)
     single = jax.tree.map(lambda x: np.asarray(x, np.float32), START)
-    jax.config.update("jax_enable_x64", False)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            fit = pj.fit_points(SOLID, seen_at, single, weights=np.ones(30))
-    finally:
-        jax.config.update("jax_enable_x64", True)
+    with jax.enable_x64(False), warnings.catch_warnings():
+        warnings.simplefilter("error")
+        fit = pj.fit_points(SOLID, seen_at, single, weights=np.ones(30))
     assert fit.camera.e.dtype == np.float32
     assert np.max(np.abs(np.asarray(fit.camera.e) - EYES[1])) < 1e-3
 
@@ -88,7 +84,7 @@ def test_error_bars_are_those_of_the_linearised_problem():
     points2d = seen(truth, SOLID) + np.random.default_rng(0).normal(0, 0.1, (30, 2))
     fit = pj.fit_points(SOLID, points2d, START, free=("pose", "phi"))
     moved = lambda step: seen(fit.displaced(step), SOLID).ravel()
-    J = np.stack([(moved(x) - moved(-x)) / 2e-5 for x in 1e-5 * np.eye(7)], axis=-1)
+    J = central_difference(moved, np.zeros(7))
     rest = moved(np.zeros(7)) - points2d.ravel()
     np.testing.assert_allclose(J.T @ rest, 0, atol=1e-3 * np.linalg.norm(J))
     cov = np.linalg.inv(J.T @ J) * (rest @ rest) / (60 - 7)
@@ -119,17 +115,16 @@ def test_views_share_their_intrinsics_within_bounds():
     truth = [near(e, lens=lens) for e in EYES]
     points2d = seen(truth, SOLID)
     points2d[1, 3] = points2d[2, 7, 0] = np.nan  # not seen
-    free, wide, held = (
+    free, held = (
         pj.fit_points(SOLID, points2d, START, shared=("phi", "principal_point", "k1"), bounds=b)
-        for b in (None, {"k1": (-0.4, 0.1), "phi": (0.7, 0.8)}, {"k1": (-0.1, 0.1)})
+        for b in ({"k1": (-0.4, 0.1), "phi": (0.7, 0.8)}, {"k1": (-0.1, 0.1)})
     )
-    for true, f, w, h in zip(truth, free, wide, held, strict=True):
-        assert (f.status, w.status, h.status) == ("converged", "converged", "rank_deficient")
+    for true, f, h in zip(truth, free, held, strict=True):
+        assert (f.status, h.status) == ("converged", "rank_deficient")
         assert max(apart(f.camera, true)) < 1e-6
         known = lambda c: [c.phi, *c.lens.principal_point, c.lens.distortion.k1]
         np.testing.assert_allclose(known(f.camera), known(true), atol=1e-6)
-        assert [f.camera.phi] == [free[0].camera.phi]
-        np.testing.assert_allclose(w.camera.phi, f.camera.phi, rtol=1e-9)
+        assert f.camera.phi == free[0].camera.phi
         assert h.weak[-1] == "k1 is held at an end of its bounds"
         assert -0.1 <= float(h.camera.lens.distortion.k1) < -0.099
 
@@ -148,12 +143,11 @@ def test_cameras_move_with_points_and_weights_as_refits_do(common):
 
     inputs = [jnp.asarray(x) for x in (SOLID, points2d, random.uniform(0.5, 2, (3, 30)))]
     velocity = [jnp.asarray(random.normal(size=x.shape)) for x in inputs]
-    check_slope(answer, inputs, velocity, 1e-4, 1e-4)
-    by_points = lambda x: answer(inputs[0], x, inputs[2])[-1]
-    gradient, along = jax.grad(by_points)(inputs[1]), jax.jvp(by_points, inputs[1:2], velocity[1:2])
-    assert np.all(np.isfinite(gradient))
-    assert np.all(gradient[1, 3] == 0)
-    np.testing.assert_allclose(jnp.nansum(gradient * velocity[1]), along[1], rtol=1e-6)
+    slope = check_slope(answer, inputs, velocity, 1e-4, 1e-4)
+    gradients = jax.grad(lambda *given: answer(*given)[-1], (0, 1, 2))(*inputs)
+    assert np.all(gradients[1][1, 3] == 0)
+    by_reverse = sum(np.sum(g * v) for g, v in zip(gradients, velocity, strict=True))
+    np.testing.assert_allclose(by_reverse, slope[-1], rtol=1e-6)
 
 
 def test_priors_are_not_differentiated():
@@ -222,15 +216,13 @@ def test_distant_plane_is_ambiguous_by_reversed_depths(common, exhaustive):
 
 def by_opencv(points, points2d, true):
     """Return all exact rotations (3, 3) of three points by OpenCV, those before the camera."""
-    focal = H / (2 * np.tan(float(true.phi) / 2))
-    K = np.array([[focal, 0, W / 2], [0, focal, H / 2], [0, 0, 1]])
+    K = pj.formats.to_opencv(true, pixel_centres="half")[0]
     uv = np.column_stack([points2d[:, 0], H - points2d[:, 1]])
     found = []
     for turn, shift in zip(*cv2.solveP3P(points, uv, K, None, cv2.SOLVEPNP_AP3P)[1:], strict=True):
         rotation = cv2.Rodrigues(turn)[0]
-        seen_there = points @ rotation.T + shift.ravel()
-        off = seen_there[:, :2] / seen_there[:, 2:] * focal + [W / 2, H / 2] - uv
-        if seen_there[:, 2].min() > 0 and np.abs(off).max() < 1e-6:
+        off = cv2.projectPoints(points, turn, shift, K, None)[0][:, 0] - uv
+        if (points @ rotation[2] + shift[2]).min() > 0 and np.abs(off).max() < 1e-6:
             found.append(rotation)
     return found
 
@@ -308,7 +300,7 @@ def test_points_of_one_view_show_how_those_of_another_err():
 @pytest.mark.long
 def test_prior_makes_up_for_a_missing_coordinate():
     """A known aspect: as if it were held, of four points with nine numbers for eight unknowns."""
-    rng, true, ratio = np.random.default_rng(4), NEAR[0], []
+    rng, true = np.random.default_rng(4), NEAR[0]
     points = rng.uniform(-1, 1, (4, 3))
     for _ in range(12):
         points2d = seen(true, points) + rng.normal(0, 0.05, (4, 2))
@@ -318,9 +310,7 @@ def test_prior_makes_up_for_a_missing_coordinate():
         assert np.all(np.isfinite(fit.std))
         np.testing.assert_allclose(fit.std[:-1], held.std, rtol=0.05)
         assert fit.status == held.status != "misfit"
-        off = np.abs(np.asarray(fit.camera.e) - np.asarray(true.e))
-        ratio.append(np.max(off / fit.std[3:6]))
-    assert np.mean(np.array(ratio) < 2) > 0.9
+        assert apart(fit.camera, held.camera)[1] < 0.2 * np.max(fit.std[3:6])
 
 
 def test_few_points_are_found_from_any_start_or_not_called_converged():
