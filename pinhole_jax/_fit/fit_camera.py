@@ -18,7 +18,7 @@ from .._mask.kinds import Kind
 from .._mask.mask import Mask
 from .._mask.target import MOST_BORDER, border_of, check_target, inside_of, levelled
 from .._numerics.arrays import ArrayLike, Input, float_dtype, is_concrete
-from .._outline.outline_errors import OutlineErrors, is_computed, is_drawn
+from .._outline.outline_errors import OutlineErrors, is_computed
 from .._outline.statistics import is_explained, mask_errors
 from .._rules import RULES
 from .._scene.scene import Scene, check_scene
@@ -34,7 +34,7 @@ from .implicit import camera_velocity, check_plain, through
 from .likelihood import Account
 from .occluders import from_all_sides, near_starts
 from .photo import COLOURS, check_photo, on_photo
-from .places import Free, interval, settled, transported, turned_about
+from .places import Free, settled, transported, turned_about
 from .refine import Candidate, Refiner, likeliest
 from .result import Context, Fit, Progress, progress_at, report, with_modes, with_unbelieved
 from .strategy import everywhere, free_about, from_start, to_the_end, turns_freely
@@ -278,7 +278,7 @@ def _fit(
         modes = [_Mode(c.found, c.whole.sums, c.errors, c.account, c.covariance) for c in kept]
 
     # 5. Status, covariance, words.
-    fit = _fit_of(solver, near, mask, modes, free, edge, start is None, settings)
+    fit = _fit_of(solver, mask, modes, free, edge, start is None, settings)
     weights = near.weights
     return fit, lambda: weights.image() if isinstance(weights, SparseImage) else weights
 
@@ -334,7 +334,6 @@ def _solver(scene: Scene, mask: Mask, freed: tuple[str, ...], settings: Settings
 
 def _fit_of(
     solver: Solver,
-    near: Solver,
     mask: Mask,
     modes: list[_Mode],
     free: list[Free],
@@ -355,16 +354,12 @@ def _fit_of(
         )
         return report(mask.camera, mode.found, mode.over_all, freed, context)
 
-    known, said, note = free, None, None
+    said, note = None, None
     if photo is not None:
         said, note = on_photo(solver, mask, photo, best.found)
-    if said is None or len(modes) > 1:
-        drawn = turns_freely(freed) and is_drawn(best.errors)
-        if drawn and best.covariance is None:
-            known = [*free, *interval(near, best.found, best.errors)]
-    fit, *others = (reported(mode, solver.kind, known) for mode in modes)
+    fit, *others = (reported(mode, solver.kind, free) for mode in modes)
     if said is not None:
-        open_still = [*(f for f in free if np.isinf(f.ahead)), *said.free]
+        open_still = [f for f in free if np.isinf(f.ahead)]
         fit = reported(_Mode(said.found, said.sums, said.errors), COLOURS, open_still)
     if note is not None:
         fit = fit._replace(weak=(*fit.weak, note))

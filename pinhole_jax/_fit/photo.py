@@ -17,13 +17,12 @@ from .._mask.kinds import Kind
 from .._mask.mask import Mask
 from .._mask.matte import Band, Matte, light, matte, tiles
 from .._mask.target import NOISE, Window, edge_distance
-from .._outline.outline_errors import OutlineErrors, is_drawn
+from .._outline.outline_errors import OutlineErrors
 from .._outline.statistics import mask_errors
 from .._outline.stretches import coverage_of
 from .._solver.looks import Sums, View
 from .._solver.problem import FINE_PX
 from .._solver.solver import Solution, Solver, onward
-from .places import Free, interval
 
 #: Where colours are learned and asked for, round by round: masks are off by some px at first. (A
 #: fourth round changes nothing; the last one's tiles hold what is seen within 10 px.)
@@ -74,13 +73,12 @@ V = TypeVar("V", bound="PhotoViews")
 
 
 class PhotoResult(NamedTuple):
-    """A camera that a photo gives and what is seen there; sums over the mask, how the outline that
-    colours make errs, how far that leaves a turn open."""
+    """A camera that a photo gives and what is seen there; sums over the mask, and how the outline
+    that colours make errs."""
 
     found: Solution
     sums: Sums
     errors: OutlineErrors | None
-    free: list[Free]
 
 
 def check_photo(photo: Any, W: int, H: int) -> np.ndarray:
@@ -122,10 +120,8 @@ def on_photo(
         return None, notes[0]
     own, refined = there.own, there.found
     sums = solver.look(refined.camera, solver.finest).sums
-    errors = mask_errors(own, refined.view)
-    free = interval(own, refined, errors) if is_drawn(errors) else []
     sums = sums._replace(touched=refined.view.sums.touched)
-    return PhotoResult(refined, sums, errors, free), notes[0]
+    return PhotoResult(refined, sums, mask_errors(own, refined.view)), notes[0]
 
 
 class PhotoViews(Protocol):

@@ -13,13 +13,12 @@ import numpy as np
 
 from .._camera.axes import angle, axes_of
 from .._camera.camera import Camera
-from .._outline.outline_errors import OutlineErrors, is_drawn
+from .._outline.outline_errors import is_drawn
 from .._outline.statistics import mask_errors, residual_variance
 from .._rules import RULES
 from .._scene.alike import Revolution, rotated
 from .._solver.looks import View
 from .._solver.parameters import components
-from .._solver.problem import SETTLED
 from .._solver.solver import Solution, Solver
 from .._solver.uncertainty import in_words, weak_moves
 
@@ -120,70 +119,6 @@ def _worth_a_walk(solver: Solver, best: Solution) -> list[_Direction]:
     elif any(d.axis is not None for d in other):
         return other
     return other + round_about
-
-
-def interval(solver: Solver, best: Solution, errors: OutlineErrors | None) -> list[Free]:
-    """Return the turn that a drawn mask, which errs so, leaves more open than the Jacobian says,
-    and how far.
-
-    Its errors carry a fit along curved valleys to where they end, and there all looks determined.
-    So cameras that are turned by some standard errors, and best so, are asked how much worse they
-    are: the profile of the likelihood, whose logarithm is as many times that of the squares as
-    there are independent errors.
-    """
-    turns = [name.startswith("turn") for name in components(solver.freed)]
-    if errors is None or not any(turns):
-        return []
-    directions = _nearly_free(solver, best, 1.0)
-    about = [d for d in directions if d.axis is not None and d.sigma < np.pi]
-    widest, least = Free(np.zeros(len(turns)), 0.0, 0.0, None), solver.look(best.camera).squares
-    for direction in about[-2:]:
-        away = np.array(RULES.profile) * direction.sigma
-        for far in np.unique(np.clip(away, RULES.same, 2 * RULES.start)):
-            for side in (far, -far):
-                place, squares = _best_turned(solver, best, side * direction.move, least)
-                odds = errors.independent * np.log(max(squares / max(least, 1e-300), 1.0))
-                turn = turned_by(best.camera, place)
-                size = float(np.linalg.norm(turn))
-                open_by = size / max(odds, 0.5) ** 0.5
-                enough = max(direction.sigma, widest.ahead)
-                if np.isfinite(squares) and open_by > enough:
-                    widest = Free(np.zeros(len(turns)), open_by, open_by, turn / size)
-    if widest.axis is None:
-        return []
-    # Places in an interval are equally likely: one as long has this standard error.
-    ends = min(3**0.5 * widest.ahead, np.pi)
-    return [transported(solver, best, widest._replace(behind=ends, ahead=ends))]
-
-
-def _best_turned(
-    solver: Solver, best: Solution, move: np.ndarray, squares: float
-) -> tuple[Camera, float]:
-    """Return the best camera found among those that are as far turned from another one, which has
-    these squares, as a move turns it, and its sum of squares."""
-    parts = components(solver.freed)
-    turns = np.array([name.startswith("turn") for name in parts])
-    camera, least = solver.step(best.camera, solver.finest, move), (best.camera, np.inf)
-    far = angle(camera, best.camera)
-    for _ in range(RULES.steps):
-        view = solver.look(camera)
-        if not view.squares < least[1]:
-            break
-        least = camera, view.squares
-        away = np.zeros(len(parts))
-        away[turns] = axes_of(camera) @ turned_by(best.camera, camera)
-        away /= max(float(np.linalg.norm(away)), 1e-12)
-        along = np.linalg.svd(away[None])[2][1:].T
-        triangle = np.asarray(view.triangle, float) @ along
-        solution = np.linalg.lstsq(triangle, np.asarray(view.along, float), rcond=1e-3)[0]
-        step = -along @ solution
-        # (The odds would change by so little.)
-        if np.sum((triangle @ solution) ** 2) < SETTLED * (view.squares - squares):
-            break
-        turn = float(np.linalg.norm(step[turns])) / _radian(solver, best)
-        step *= min(1.0, far / max(turn, 1e-12) / 2)
-        camera = solver.step(camera, solver.finest, step)
-    return least
 
 
 def equal_views(solver: Solver, view: View, best: View, most: float = np.inf) -> bool:
