@@ -130,7 +130,7 @@ class Refiner:
                     found, said = self._least_squares(near, found._replace(camera=camera))
             near, before = self._near(1.0, said), near
             if not all(map(np.array_equal, near.weights, before.weights)):
-                found, said = self._least_squares(near, found)  # of what is believed now
+                found, said = self._least_squares(near, found)  # (Other pixels are believed.)
         some = said is not None and np.any(said.gross)
         wide = self._near(RULES.times, said) if some else self.solver
         errors = mask_errors(wide, found.view)
