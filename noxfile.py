@@ -170,7 +170,7 @@ def lowest_versions(session: nox.Session) -> None:
 
 #: What a newer Python, and the newer JAX and NumPy for it, could change: also what scikit-image
 #: draws, shapely cuts and pycollada reads; coverage, gradients and fits by their values.
-NEWER = [*DRAWN, *files("import camera scene io formats main overlaps native walker trace robots")]
+NEWER = [*DRAWN, *files("import camera scene io formats main native walker trace robots")]
 
 
 @apart(name="newest", python=newest())

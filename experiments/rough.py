@@ -175,7 +175,8 @@ def photos(asked: Options) -> dict:
 
 
 def stress(asked: Options) -> dict:
-    sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+    here = Path(__file__).parent
+    sys.path[:0] = [str(here.parent / "tests"), str(here / "reference")]
     import stress
 
     def worst(number: int, name: str, kind: str) -> dict:

@@ -7,25 +7,23 @@ Run it against a library built with sanitizers (`.ci/sanitized`), where a wrong 
 
 import argparse
 import time
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from slopes import both_ways
 
 from pinhole_jax._native.library import is_available
 from pinhole_jax._native.look import MaskLevel, Sight, look, pixels
-from pinhole_jax._native.rasteriser import MODELS, _call
-from pinhole_jax._scene.scene import Mesh, Scene, Spheres
+from pinhole_jax._native.rasteriser import MODELS, Variables, _image
 
 #: As many shapes of views are tried.
 SHAPES = 60
 #: How many numbers each model of a lens has, with focal lengths and principal point.
 NUMBERS = {0: 0, **dict(zip(MODELS.values(), (9, 12, 8), strict=True))}
-
-
 LOOK = eqx.filter_jit(look)
-CALL = eqx.filter_jit(_call)
 
 
 class Random:
@@ -44,15 +42,11 @@ class Random:
         with np.errstate(over="ignore"):
             values = (plain * scale).astype(self.kind)
         sort = self.bits.integers(0, 40, size=shape)
-        values[sort == 0] = np.nan
-        values[sort == 1] = np.inf
-        values[sort < 8] = np.round(values[sort < 8])
+        values = np.where(sort < 8, np.round(values), values)
+        values = np.where(sort < 2, np.array([np.nan, np.inf], self.kind)[sort % 2], values)
         if self.bits.random() < 0.1:
-            whole = self.bits.integers(0, 256, values.nbytes, dtype=np.uint8)
-            values = whole.view(self.kind)[: values.size].reshape(shape)
-        if self.bits.random() < 0.5:  # a view that is drawn
-            values = np.nan_to_num(plain).astype(self.kind)
-        return values
+            values = np.frombuffer(self.bits.bytes(values.nbytes), self.kind).reshape(shape)
+        return values if self.bits.random() < 0.5 else plain.astype(self.kind)  # (that is drawn)
 
     def integers(self, most: int, *shape: int) -> np.ndarray:
         """Indices, a few of them out of range."""
@@ -60,75 +54,86 @@ class Random:
         wrong = self.bits.random(shape) < self.bits.choice([0, 0, 0.05])
         return np.where(wrong, self.bits.integers(-(2**31), 2**31, size=shape), values).astype("i4")
 
-    def count(self, most: int) -> int:
+    def count(self, most: int, least: int = 0) -> int:
         """A number of things, often few or none."""
-        return int(self.shapes.integers(0, self.shapes.choice([1, 2, 4, most])))
+        return int(self.shapes.integers(least, least + self.shapes.choice([1, 2, 4, most])))
 
 
-def view(random: Random) -> tuple[list[np.ndarray], int, tuple[int, int]]:
-    """What the library is given of a view, the lens's model, and the film's size."""
+class Arrays(NamedTuple):
+    """A scene that nothing has checked: its mesh's arrays, and its spheres'."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    edge_vertices: np.ndarray
+    edge_faces: np.ndarray
+    centers: np.ndarray
+    radii: np.ndarray
+
+    mesh = spheres = property(lambda self: self)
+
+
+class View(NamedTuple):
+    """A view's numbers, the lens's model, and the film's size."""
+
+    film: np.ndarray
+    lens: np.ndarray
+    trusted: np.ndarray
+    frames: np.ndarray
+    scene: Arrays
+    model: int
+    size: np.ndarray
+
+
+def view_of(random: Random) -> View:
     V, F, E, S = (random.count(n) for n in (40, 60, 90, 12))
-    W, H = (int(random.shapes.integers(1, random.shapes.choice([2, 8, 70]))) for _ in "WH")
+    W, H = (random.count(70, least=1) for _ in "WH")
     model = int(random.shapes.integers(0, 4))
     film = random.reals(18)
     if random.bits.random() < 0.7:  # in front of the eye
-        film[6:15] = (np.eye(3) * [[W], [W], [1]] + [[0, 0, W / 2], [0, 0, H / 2], [0] * 3]).ravel()
-        film[:3], film[3:6] = [0, 0, -4], 0
-        film[15:] = [2 * W, 2 * H, 4]
-    lens = random.reals(NUMBERS[model] + 1 if model else 0)
-    mesh = (
-        random.reals(V, 3),
-        random.integers(V, F, 3),
-        random.integers(V, E, 2),
-        random.integers(F, E, 2),
-    )
-    balls = random.reals(S, 3), np.abs(random.reals(S)), random.reals(S, 9)
-    return [film, lens, *mesh, *balls, np.array([W, H], np.int32)], model, (W, H)
+        matrix = [[W, 0, W / 2], [0, W, H / 2], [0, 0, 1]]
+        film = np.array([0, 0, -4, 0, 0, 0, *np.ravel(matrix), 2 * W, 2 * H, 4], random.kind)
+    edges = random.integers(V, E, 2), random.integers(F, E, 2)
+    balls = random.reals(S, 3), np.abs(random.reals(S))
+    scene = Arrays(random.reals(V, 3), random.integers(V, F, 3), *edges, *balls)
+    lens = random.reals(NUMBERS[model]), random.reals(min(model, 1))
+    return View(film, *lens, random.reals(S, 9), scene, model, np.array([W, H], np.int32))
+
+
+@eqx.filter_jit
+def pushed_and_pulled(of, variables, constants, directions, weight):
+    image = lambda x: _image(of, x, constants)
+    return both_ways(image, variables, directions, weight)
 
 
 def drawn(random: Random) -> None:
     """An image of a view, its push and pull."""
-    given, model, (W, H) = view(random)
-    film, lens, vertices, frames = (given[k] for k in (0, 1, 2, 8))
-    arrays = [jnp.asarray(x) for x in given]
-    image = jax.ShapeDtypeStruct((H, W), film.dtype)
-    room = jax.ShapeDtypeStruct((3 + random.count(9),), jnp.int32)
-    seen, edges = CALL("image", model, [image, room], *arrays)
-    if random.bits.random() < 0.5:
-        edges = jnp.asarray(random.integers(90, *edges.shape))
-    assert np.all((np.asarray(seen) >= 0) & (np.asarray(seen) <= 1)), seen
-    moves = film, lens[: NUMBERS[model]], vertices, frames
-    own = [random.reals(*x.shape) if random.shapes.random() < 0.7 else x[:0] for x in moves]
-    own = [x if x.size else np.zeros((0,) * x.ndim, x.dtype) for x in own]
-    CALL("image_push", model, [image], *arrays, edges, *map(jnp.asarray, own))
-    results = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in own]
-    CALL("image_pull", model, results, *arrays, edges, jnp.asarray(random.reals(H, W)))
+    view = view_of(random)
+    variables = Variables(view.film, view.lens, view.scene.vertices, view.frames)
+    constants = [view.trusted, *view.scene[1:], view.size]
+    (W, H), directions = view.size.tolist(), Variables(*(random.reals(*x.shape) for x in variables))
+    moving = jax.tree.map(jnp.asarray, (variables, constants, directions, random.reals(H, W)))
+    image, _, _ = pushed_and_pulled((view.model, (H, W)), *moving)
+    assert np.all((np.asarray(image) >= 0) & (np.asarray(image) <= 1)), image
 
 
 def looked(random: Random) -> None:
     """A look at a view, and its pixels."""
-    (film, lens, *mesh, centers, radii, frames, _), model, (W, H) = view(random)
-    n, real = int(random.shapes.integers(1, 8)), film.dtype
-    scene = Scene(mesh=object.__new__(Mesh), spheres=object.__new__(Spheres))
-    names = "vertices", "faces", "edge_vertices", "edge_faces"
-    for name, array in zip(names, mesh, strict=True):
-        object.__setattr__(scene.mesh, name, jnp.asarray(array))
-    object.__setattr__(scene.spheres, "centers", jnp.asarray(centers))
-    object.__setattr__(scene.spheres, "radii", jnp.asarray(radii))
-    moves = (random.reals(n, *x.shape) for x in (film, lens[: NUMBERS[model]], frames))
-    sight = Sight(*map(jnp.asarray, (film, lens, frames, *moves)))
-    pages, cells = int(random.shapes.integers(1, 40)), 64 * int(random.shapes.integers(1, 30))
+    view = view_of(random)
+    n, real = random.count(8, least=1), view.film.dtype
+    moves = (random.reals(n, *x.shape) for x in (view.film, view.lens, view.frames))
+    sight = Sight(view.film, np.append(view.lens, view.trusted), view.frames, *moves)
+    pages, blocks = random.count(40, least=1), random.count(30, least=1)
     level = MaskLevel(
-        np.array([W, H], np.int32),
+        view.size,
         random.integers(64 * pages, 1),
         np.ones(1, real),
-        random.integers(cells // 64, pages),
+        random.integers(blocks, pages),
         random.reals(4, pages),
-        random.reals(6, cells),
+        random.reals(6, 64 * blocks),
     )
-    known = jnp.asarray(random.reals(3, n + 1))
-    LOOK(sight, known, scene, jax.tree.map(jnp.asarray, level), model)
-    found = pixels(sight, scene, level, model)
+    given = jax.tree.map(jnp.asarray, (sight, random.reals(3, n + 1), view.scene, level))
+    LOOK(*given, view.model)
+    found = pixels(sight, view.scene, level, view.model)
     assert np.all((found.coverage >= 0) & (found.coverage <= 1))
 
 
@@ -144,10 +149,9 @@ def main() -> None:
         raise SystemExit("there is no library here")
     end, seed = time.monotonic() + given.seconds, given.seed
     while time.monotonic() < end:
-        random = Random(seed)
         if given.verbose:
             print(f"seed {seed}", flush=True)
-        (looked if seed % 4 == 3 else drawn)(random)
+        (looked if seed % 4 == 3 else drawn)(Random(seed))
         seed += 1
     print(f"{seed - given.seed} scenes from seed {given.seed}: none ended the process")
 

@@ -1,6 +1,7 @@
 """Independent answers: polygon union by shapely, central differences. Nothing of pinhole_jax but
 `project`, which `test_rays` checks by hand."""
 
+import _oracle
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -30,26 +31,9 @@ def area_per_pixel(shape, W: int, H: int) -> np.ndarray:
 
 def union_per_pixel(shapes, W: int, H: int, only=None) -> np.ndarray:
     """Return the area of a union of polygons within each pixel's square, 0 where it is not asked
-    for: `only` says in which pixels it is (H, W).
-
-    Shape by shape and pixel by pixel: a union of many at once loses area where edges nearly agree.
-    """
-    shapes = np.asarray(shapes, dtype=object)
-    shapes = shapes[shapely.area(shapes) > 0]
-    squares = pixel_squares(W, H).ravel()
-    area = np.zeros(W * H)
-    asked = np.arange(W * H) if only is None else np.flatnonzero(only)
-    square, of = shapely.STRtree(shapes).query(squares[asked], predicate="intersects")
-    square = asked[square]
-    area[square[shapely.covers(shapes[of], squares[square])]] = 1
-    left = area[square] == 0
-    square, of = square[left], of[left]
-    parts = shapely.intersection(shapes[of], squares[square])
-    order = np.argsort(square, kind="stable")
-    first = np.flatnonzero(np.diff(square[order], prepend=-1))
-    for group in np.split(order, first[1:]) if len(order) else []:
-        area[square[group[0]]] = shapely.area(shapely.union_all(parts[group]))
-    return area.reshape(H, W)
+    for: `only` says in which pixels it is (H, W)."""
+    asked = np.ones((H, W), bool) if only is None else only
+    return _oracle.union_per_pixel(np.asarray(shapes, dtype=object), asked)
 
 
 def homogeneous(camera: pj.Camera, points) -> np.ndarray:
@@ -161,6 +145,18 @@ def sphere_polygons(camera: pj.Camera, centers, radii, corners: int = 20_000) ->
     return [outline for outline in outlines if outline is not None]
 
 
+def scene_polygons(camera: pj.Camera, scene: pj.Scene, corners: int = 20_000) -> list:
+    """Return the projected triangles, and the outlines of spheres."""
+    mesh, spheres = scene.mesh, scene.spheres
+    found = mesh_polygons(camera, mesh.vertices, mesh.faces) if mesh else []
+    rounds = sphere_polygons(camera, spheres.centers, spheres.radii, corners) if spheres else []
+    return [*found, *rounds]
+
+
+def coverage(camera: pj.Camera, scene: pj.Scene, corners: int = 20_000) -> np.ndarray:
+    return union_per_pixel(scene_polygons(camera, scene, corners), camera.W, camera.H)
+
+
 def central_difference(function, x: np.ndarray, step: float = 1e-5) -> np.ndarray:
     """Return d function / d x, entry by entry; function returns a number or an array."""
     x = np.asarray(x, float)
@@ -209,11 +205,3 @@ def random_camera(random: np.random.Generator, W: int, H: int, distance: float =
     eye = random.normal(size=3)
     eye *= distance / np.linalg.norm(eye)
     return pj.Camera(eye, 0.1 * random.normal(size=3), random.normal(size=3), 0.6, 1.0, W, H)
-
-
-def deviates(random: np.random.Generator, count: int, size: int) -> np.ndarray:
-    """Return normal numbers (count, size) whose own mean is 0 and covariance 1: what is linear in
-    them has the covariance that it should have, however few they are."""
-    numbers = random.normal(size=(count, size))
-    numbers -= numbers.mean(axis=0)
-    return np.linalg.solve(np.linalg.cholesky(np.cov(numbers.T)), numbers.T).T

@@ -14,7 +14,7 @@ import pytest
 pytestmark = pytest.mark.long
 
 #: Each with the devices that it is sharded over.
-CASES = {"masks": (2,), "shared mesh": (4,), "hits": (2, 2)}
+CASES = {"views": (2, 2), "shared mesh": (4,)}
 
 
 @pytest.fixture(scope="module")
@@ -55,47 +55,36 @@ def main():
         f, mesh=devices, in_specs=given, out_specs=results
     )
 
-    def view(e, lens=None):
-        return pj.Camera(e, jnp.zeros(3), jnp.array([0.0, 1, 0]), 0.7, 1.0, 12, 10, lens)
+    def view(e, vertices, centers=None):
+        """A camera, and a scene of a mesh and maybe spheres."""
+        camera = pj.Camera(e, jnp.zeros(3), jnp.array([0.0, 1, 0]), 0.7, 1.0, 12, 10, lens)
+        spheres = None if centers is None else pj.Spheres(centers, radii)
+        return camera, pj.Scene(mesh=pj.Mesh(vertices, np.asarray(mesh.faces)), spheres=spheres)
 
-    def total(weight, camera, vertices, spheres=None):
-        scene = pj.Scene(mesh=pj.Mesh(vertices, np.asarray(mesh.faces)), spheres=spheres)
-        return jnp.sum(weight * pj.silhouette(camera, scene))
+    def totals(x, weight):
+        """Weighted sums of the mask and of the hits' distances."""
+        camera, scene = view(*x)
+        far = pj.trace(scene, camera).t
+        shown = pj.silhouette(camera, scene), jnp.where(jnp.isfinite(far), far, 0)
+        return jnp.stack([jnp.sum(weight * image) for image in shown])
 
-    def derivatives(function, x):
-        """The value, its derivative forward along all of `x`, and in reverse."""
-        value, along = jax.linearize(function, x)
+    def all_of_it(x, weight):
+        """Images, the totals, their derivative forward along all of `x`, and in reverse."""
+        camera, scene = view(*x)
+        images = pj.occluded(scene, camera) * 1.0, pj.normals(camera, scene)
+        value, along = jax.linearize(lambda x: totals(x, weight), x)
         forward = along(jax.tree.map(jnp.ones_like, x))
-        return value, forward, jax.linear_transpose(along, x)(jnp.ones_like(value))
+        reverse = jax.linear_transpose(along, x)(jnp.ones_like(value))
+        return images, 1 / pj.depth(camera, scene), value, forward, reverse
 
-    def masks(x, weight):
-        loss = lambda x: total(weight, view(x[0], lens), x[1], pj.Spheres(x[2], radii))
-        return derivatives(loss, x)
-
-    def hits(e, weight):
-        """Of closest and any hits, of a camera's rays and of any."""
-        scene = pj.Scene(mesh=mesh, spheres=pj.Spheres(centers[0], radii))
-
-        def far(e):
-            there = pj.trace(scene, pj.camera_rays(view(e, lens))).t
-            return jnp.sum(weight * jnp.where(jnp.isfinite(there), there, 0))
-
-        blocked = pj.occluded(scene, pj.camera_rays(view(e))).astype(float)
-        images = pj.normals(view(e), scene), 1 / pj.depth(view(e), scene)
-        return blocked, images, derivatives(far, e)
-
-    def by_device(function, x):
-        batch = jax.vmap(function)
-        return lambda devices: (
-            spread(batch, devices, P("d"), P("d"))(x, weights),
-            batch(x, weights),
-        )
+    def views(devices):
+        batch, given = jax.vmap(all_of_it), ((eyes, shapes, centers), weights)
+        return spread(batch, devices, P("d"), P("d"))(*given), batch(*given)
 
     def shared_mesh(devices):
         """The derivative by vertices that all devices share is the sum over these."""
-        loss = lambda vertices, eyes, weights: jnp.sum(
-            jax.vmap(lambda e, weight: total(weight, view(e), vertices))(eyes, weights)
-        )
+        total = jax.vmap(lambda vertices, e, weight: totals((e, vertices), weight)[0], (None, 0, 0))
+        loss = lambda *x: jnp.sum(total(*x))
         given, specs = (mesh.vertices, eyes, weights), (P(), P("d"), P("d"))
         summed = spread(lambda *x: jax.lax.psum(loss(*x), "d"), devices, specs, P())
         inside = spread(jax.grad(loss), devices, specs, P())(*given)
@@ -107,8 +96,7 @@ def main():
         return max(float(jnp.max(jnp.abs(a - b)) / jnp.max(jnp.abs(b))) for a, b in leaves)
 
     found = {}
-    runs = by_device(masks, (eyes, shapes, centers)), shared_mesh, by_device(hits, eyes)
-    for (name, shape), run in zip(CASES.items(), runs, strict=True):
+    for (name, shape), run in zip(CASES.items(), (views, shared_mesh), strict=True):
         among = np.array(jax.devices()[: int(np.prod(shape))]).reshape(shape)
         devices = Devices(among, ("d", "other")[: len(shape)])
         found[name] = error(*jax.jit(lambda run=run, devices=devices: run(devices))())
