@@ -205,3 +205,11 @@ def random_camera(random: np.random.Generator, W: int, H: int, distance: float =
     eye = random.normal(size=3)
     eye *= distance / np.linalg.norm(eye)
     return pj.Camera(eye, 0.1 * random.normal(size=3), random.normal(size=3), 0.6, 1.0, W, H)
+
+
+def deviates(random: np.random.Generator, count: int, size: int) -> np.ndarray:
+    """Return normal numbers (count, size) whose own mean is 0 and covariance 1: what is linear in
+    them has the covariance that it should have, however few they are."""
+    numbers = random.normal(size=(count, size))
+    numbers -= numbers.mean(axis=0)
+    return np.linalg.solve(np.linalg.cholesky(np.cov(numbers.T)), numbers.T).T

@@ -2,36 +2,38 @@
 
 import numpy as np
 import pytest
-from arm import BOTH_EYES, RIG, START, TRUTH
+from arm import RIG, START, TRUTH
+from oracles import central_difference, drawn
+from results import NAMES, fit_at
 
 import pinhole_jax as pj
-from pinhole_jax._camera.poses import pose_of, skew
+from pinhole_jax._camera.poses import at_pose, exponential, inverse, pose_of
 from pinhole_jax._command.proposals import worths
 
 
-def by_the_left_eye():
-    """The Jacobian of the right eye's reported numbers by the left eye's."""
-    flip, step, turned = np.diag([1, -1, 1]), RIG["right"], pose_of(TRUTH)[:3, :3]
-    follows = np.eye(6)
-    follows[:3, :3] = flip @ step[:3, :3].T @ flip
-    follows[3:, :3] = -skew(turned @ step[:3, 3]) @ turned @ flip
-    return follows
-
-
-def test_information_of_both_eyes_of_a_rig_adds_up(stereo):
-    """What a rig's masks tell of its pose is what its left eye's and its right eye's do."""
-    both = pj.joint_observability(stereo, BOTH_EYES, rig=RIG)
-    left, right = (
-        pj.joint_observability([v for v in stereo if v.camera == side], {side: camera})
-        for side, camera in BOTH_EYES.items()
+def test_observability_of_a_rig_on_a_mount_equals_polygon_differences(scenes):
+    """The right eye follows the left one, and both have one lens."""
+    mount, placed = exponential(np.full(6, 0.1)), exponential(np.full(6, 0.2))
+    left = fit_at(at_pose(TRUTH, inverse(mount) @ placed @ pose_of(TRUTH)), np.eye(7))
+    place = {"mount": mount, "placed": placed}
+    views = [pj.JointView(scenes[0], None, camera=name, **place) for name in RIG]
+    cameras = {name: at_pose(left.camera, pose_of(left.camera) @ RIG[name]) for name in RIG}
+    known = {"left": {"phi": (0.6, 0.01)}}
+    told = pj.joint_observability(
+        views, cameras, ("pose", "phi"), rig=RIG, shared="phi", prior=known, noise=0.1
     )
-    assert both.names[:6] == left.names
-    assert both.of == 6
-    follows = by_the_left_eye()
-    information = np.linalg.inv(left.covariance)
-    information = information + follows.T @ np.linalg.inv(right.covariance) @ follows
-    expected = np.sqrt(np.diag(np.linalg.inv(information)))
-    np.testing.assert_allclose(both.std[:6], expected, rtol=1e-6)
+
+    def shown(x):
+        moved = left.displaced(x)
+        poses = (inverse(placed) @ mount @ pose_of(moved) @ RIG[name] for name in RIG)
+        return np.stack([drawn(at_pose(moved, pose), scenes[0]) for pose in poses])
+
+    J = central_difference(shown, np.zeros(7)).reshape(-1, 7)
+    information = J.T @ J / 0.1**2
+    information[6, 6] += 0.01**-2
+    assert (told.names[:7], told.rank) == (tuple(f"left {name}" for name in NAMES), 7)
+    expected = np.diag(np.linalg.inv(information))
+    np.testing.assert_allclose(told.std[:7] ** 2, expected, rtol=2e-4)
 
 
 def test_observability_predicts_the_error_bars_of_a_fit(noisy):

@@ -69,15 +69,6 @@ def test_notebooks_show_a_line_unless_they_are_told_not_to(monkeypatch):
             assert (tell is not None) == is_heard
 
 
-def test_function_is_called_and_nothing_is_shown(monkeypatch):
-    told = []
-    with shown(told.append, "fitting") as tell:
-        assert tell is not None
-        tell("3 steps")
-        say("a stage, which is no `Progress`")
-    assert told == ["3 steps"]
-
-
 def test_progress_of_another_kind_is_refused():
     with pytest.raises(ValueError, match="`progress`: expected True, False, None or a function"):
         pj.fit_camera(SCENE, np.ones((40, 48)), CAMERA, progress="yes")

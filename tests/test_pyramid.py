@@ -5,6 +5,8 @@ import tracemalloc
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.spatial.distance import cdist
+from skimage.segmentation import find_boundaries
 
 import pinhole_jax as pj
 from pinhole_jax._mask.edges import edge_band
@@ -22,17 +24,10 @@ def disc(H: int, W: int) -> np.ndarray:
 
 @pytest.mark.parametrize("reach", [0.5, 2.0, 6.3, 14.0])
 def test_pixels_near_an_edge_and_how_near(reach):
-    from scipy.spatial import KDTree
-
     inside = disc(70, 90) > 0.5
     inside[20:30, 30:] = False
-    edge = np.zeros(inside.shape, bool)
-    for axis in (0, 1):
-        change = np.diff(inside, axis=axis)
-        for side in ((0, 1), (1, 0)):
-            edge |= np.pad(change, [side if k == axis else (0, 0) for k in (0, 1)])
-    pixels = np.indices(inside.shape).reshape(2, -1).T
-    distance, _ = KDTree(np.argwhere(edge)).query(pixels)
+    edge = np.argwhere(find_boundaries(inside))
+    distance = cdist(np.argwhere(np.ones(inside.shape)), edge).min(axis=1)
     found = edge_band(inside, reach)
     assert_array_equal(found.place, np.flatnonzero(distance < 1 + reach))
     assert_allclose(found.value, distance[found.place], atol=1e-12)
