@@ -60,18 +60,16 @@ def test_axis_and_facets_are_recovered(turn, scale):
         assert line.pitch == pytest.approx(2 * np.pi / sections)
 
 
-@pytest.mark.parametrize("number", [4000, 500_000])
-def test_smooth_body_has_no_facets(number):
+def test_smooth_body_has_no_facets():
     """Of places at random, or of a million on two circles."""
-    angle = np.linspace(0, 2 * np.pi, number, endpoint=False)
-    height = np.ones(number)
-    if number < 10_000:
-        angle, height = np.random.default_rng(0).uniform([0, -1], [2 * np.pi, 1], (number, 2)).T
-    radius = 1 + 0.2 * height
-    half = np.stack([radius * np.cos(angle), radius * np.sin(angle), 2 * height], axis=-1)
-    vertices = half if number < 10_000 else np.concatenate([half, -half])
-    (line,) = alike(vertices).lines
-    assert line.pitch is None
+    around = lambda angle, height: np.stack(
+        [(1 + 0.2 * height) * np.cos(angle), (1 + 0.2 * height) * np.sin(angle), 2 * height], -1
+    )
+    random = np.random.default_rng(0).uniform([0, -1], [2 * np.pi, 1], (4000, 2))
+    circle = around(np.linspace(0, 2 * np.pi, 500_000, endpoint=False), np.ones(500_000))
+    for vertices in (around(*random.T), np.concatenate([circle, -circle])):
+        (line,) = alike(vertices).lines
+        assert line.pitch is None
 
 
 @pytest.mark.parametrize(
@@ -94,19 +92,19 @@ def test_robots_and_animals_are_not_round_and_a_ball_is_about_three_axes(shared)
         assert alike(trimesh.load(shared / name, force="mesh").vertices).lines == []
 
 
-@pytest.mark.parametrize(
-    ("mesh", "number"),
-    [
-        (trimesh.creation.icosphere(3), 59),
-        (can(24), 47),
-        (can(24) + bump(at=(0.8, 0.1, 0.3), subdivisions=1), 47),
-        (trimesh.creation.box([1.0, 2.0, 3.0]), 3),
-        (trimesh.creation.torus(1, 0.3, major_sections=20, minor_sections=8), 39),
-    ],
-    ids=["ball", "can", "can with a bump", "brick", "ring"],
-)
+TURNED = {
+    "ball": (trimesh.creation.icosphere(3), 59),
+    "can": (can(24), 47),
+    "can with a bump": (can(24) + bump(at=(0.8, 0.1, 0.3), subdivisions=1), 47),
+    "brick": (trimesh.creation.box([1.0, 2.0, 3.0]), 3),
+    "ring": (trimesh.creation.torus(1, 0.3, major_sections=20, minor_sections=8), 39),
+}
+
+
+@pytest.mark.parametrize("name", TURNED)
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e4])
-def test_body_has_the_rotations_it_was_made_with(mesh, number, scale):
+def test_body_has_the_rotations_it_was_made_with(name, scale):
+    mesh, number = TURNED[name]
     vertices = scale * (np.asarray(mesh.vertices) @ TURN.T + SHIFT)
     found = alike(vertices.astype(np.float32), mesh.faces).turns
     assert len(found) == number
@@ -115,21 +113,14 @@ def test_body_has_the_rotations_it_was_made_with(mesh, number, scale):
         assert np.linalg.det(rotation) == pytest.approx(1, abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("vertices", "faces"),
-    [
+def test_mesh_of_no_area_or_with_noise_has_no_rotations():
+    ball = trimesh.creation.icosphere(3)
+    noise = np.random.default_rng(0).normal(size=ball.vertices.shape)
+    for vertices, faces in (
         (np.zeros((0, 3)), []),
         (np.zeros((3, 3)), [[0, 1, 2]] * 9),
         (np.eye(3), [[0, 1, 2]]),
         (np.arange(9.0).reshape(3, 3), [[0, 1, 2]] * 4),
-    ],
-    ids=["none", "a point", "one face", "a line"],
-)
-def test_mesh_without_area_has_no_rotations(vertices, faces):
-    assert alike(vertices, faces).turns == []
-
-
-def test_noise_leaves_no_turn():
-    ball = trimesh.creation.icosphere(3)
-    noise = np.random.default_rng(0).normal(size=ball.vertices.shape)
-    assert alike(ball.vertices + 1e-3 * noise, ball.faces).turns == []
+        (ball.vertices + 1e-3 * noise, ball.faces),
+    ):
+        assert alike(vertices, faces).turns == []
