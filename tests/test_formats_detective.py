@@ -1,7 +1,6 @@
 """The detective: on masks with a known answer, and on two published renders."""
 
 import json
-from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -26,34 +25,31 @@ OPENGL = np.diag([1.0, -1, -1, 1])
 LEFT_UP = np.diag([-1.0, -1, 1, 1])
 
 
-class Case(NamedTuple):
-    pose: np.ndarray
-    axes: str
-    direction: str
-
-
+IN_MITSUBA = LEFT_UP @ POSE
+WORLD, VIEW = "world_from_camera", "camera_from_world"
+#: Poses as programs write them, the program's name, and the direction.
 CASES = {
-    "opencv": Case(POSE, "OpenCV", "camera_from_world"),
-    "opencv, 3 x 4": Case(POSE[:3], "OpenCV", "camera_from_world"),
-    "nerf": Case(np.linalg.inv(POSE) @ OPENGL, "OpenGL", "world_from_camera"),
-    "opengl view": Case(OPENGL @ POSE, "OpenGL", "camera_from_world"),
-    "mitsuba": Case(np.linalg.inv(POSE) @ LEFT_UP, "Mitsuba", "world_from_camera"),
-    "pytorch3d matrix": Case((LEFT_UP @ POSE).T, "PyTorch3D", "camera_from_world, row vectors"),
-    "pytorch3d R, T": Case(
-        np.c_[(LEFT_UP @ POSE)[:3, :3].T, (LEFT_UP @ POSE)[:3, 3]],
+    "opencv": (POSE, "OpenCV", VIEW),
+    "opencv, 3 x 4": (POSE[:3], "OpenCV", VIEW),
+    "nerf": (np.linalg.inv(POSE) @ OPENGL, "OpenGL", WORLD),
+    "opengl view": (OPENGL @ POSE, "OpenGL", VIEW),
+    "mitsuba": (np.linalg.inv(POSE) @ LEFT_UP, "Mitsuba", WORLD),
+    "pytorch3d matrix": (IN_MITSUBA.T, "PyTorch3D", f"{VIEW}, row vectors"),
+    "pytorch3d R, T": (
+        np.c_[IN_MITSUBA[:3, :3].T, IN_MITSUBA[:3, 3]],
         "PyTorch3D",
-        "camera_from_world, rotation for row vectors",
+        f"{VIEW}, rotation for row vectors",
     ),
 }
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_conventions_are_told_apart(name):
-    case = CASES[name]
-    found = formats.detect(SCENE, MASK, case.pose, K=K)
+    pose, program, direction = CASES[name]
+    found = formats.detect(SCENE, MASK, pose, K=K)
     best = found.hypotheses[0]
-    assert case.axes in best.axes
-    assert (best.direction, best.pixel_centres, best.fov_axis) == (case.direction, "integer", "")
+    assert program in best.axes
+    assert (best.direction, best.pixel_centres, best.fov_axis) == (direction, "integer", "")
     assert found.certain
     assert best.iou > 0.999
     assert str(best) in found.sentence
@@ -62,8 +58,7 @@ def test_conventions_are_told_apart(name):
 
 
 def test_axis_of_the_field_of_view_is_found():
-    lens = pj.Lens([W / 2, H / 2])
-    centred = pj.Camera(CAMERA.e, CAMERA.p, CAMERA.u, 0.55, 1.0, W, H, lens)
+    centred = CAMERA.replace(phi=0.55, lens=pj.Lens([W / 2, H / 2]))
     mask = np.asarray(pj.silhouette(centred, SCENE, overlaps=False))
     focal = float(H / 2 / np.tan(0.55 / 2))
     for axis, side in {"vertical": H, "horizontal": W, "diagonal": np.hypot(W, H)}.items():

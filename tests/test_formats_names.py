@@ -5,24 +5,16 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
+from oracles import turned
 
 import pinhole_jax as pj
 from pinhole_jax import formats
 
-
-def random_camera(seed):
-    random = np.random.default_rng(seed)
-    size = 10.0 ** random.uniform(-3, 4)
-    e, p, u = random.normal(size=(3, 3))
-    return pj.Camera(size * e, size * p, u, random.uniform(0.05, 2.5), 1.0, 64, 49)
-
-
-#: All of one K, which an OpenCV file asks for, and of one resolution, which a Blender scene does.
-FIRST = random_camera(0)
-CAMERAS = [FIRST] + [
-    pj.Camera(c.e, c.p, c.u, FIRST.phi, 1.0, 64, 49) for c in map(random_camera, range(1, 6))
-]
+#: All of one K, which an OpenCV file asks for, and of one resolution, which a Blender scene does;
+#: near and far.
+BASE = pj.Camera([1.0, 2, 5], [0.1, 0, 0], [0.3, 1, 0.2], 0.7, 1.0, 64, 49)
+CAMERAS = [turned(BASE, [3, 1, 2], 50 * k, 10.0 ** (k - 3)) for k in range(6)]
 HOSTILE = [
     "", " ", "a b", " a", "a ", "a  b", "a\nb", "a\r\nb", "a\tb", "\n", "\0", "a\0b", "\x01",
     "a\x01f",
@@ -41,7 +33,7 @@ def names_of_yaml(path):
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
     names = storage.getNode("camera_names")
     K = storage.getNode("camera_matrix").mat()
-    assert_array_equal(K, formats.to_opencv(FIRST, pixel_centres="integer")[0])
+    assert_array_equal(K, formats.to_opencv(BASE, pixel_centres="integer")[0])
     return [names.at(k).string() for k in range(names.size())]
 
 
@@ -92,11 +84,9 @@ def check_round_trip(folder, format, names):
     if formats.FORMATS[format].read is not None:
         back = formats.read(path, format)
         assert list(back) == list(cameras)
-        for camera, original in zip(back.values(), cameras.values(), strict=True):
-            assert (camera.W, camera.H) == (original.W, original.H)
-            angle, shift = map(float, pj.pose_error(camera, original))
-            assert angle + shift / float(abs(original.e).max()) < 1e-6
-            assert_allclose(camera.K, original.K, rtol=1e-9)
+        for name, original in cameras.items():
+            angle, shift = map(float, pj.pose_error(back[name], original))
+            assert angle + shift / np.abs(original.e).max() < 1e-6
     return True
 
 
