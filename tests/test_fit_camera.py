@@ -1,11 +1,9 @@
 """Cameras recovered: exact masks, real masks, and what cannot be recovered."""
 
 import json
-import re
 
 import numpy as np
 import pytest
-import trimesh
 from chosen import first, full
 from numpy.testing import assert_allclose
 from oracles import drawn, random_camera, single, turned, usual_camera
@@ -147,9 +145,6 @@ def test_inverted_mask_is_no_success():
     assert pj.fit_camera(SCENE, inverted, near).status != "converged"
     inside = np.pad(np.ones((78, 94)), 1)  # the border does not count
     assert pj.fit_camera(SCENE, inverted, CAMERA, weight=inside).status != "converged"
-    ball = pj.Scene(spheres=pj.Spheres([[0.0, 0, 0]], [0.5]))
-    with refusal("like an inverted one"):
-        pj.fit_camera(ball, inverted, CAMERA)
 
 
 @pytest.mark.parametrize("manner", [{"outlier_px": None}, full({})])
@@ -311,15 +306,3 @@ def test_shampoo_bottle_in_a_photo_is_recovered(shared, photo, exhaustive):
         # The turn about its axis shows least: the error bar says so, and holds.
         assert np.deg2rad(2) < np.max(fit.std[:3]) < np.deg2rad(4)
         assert pj.pose_error(fit.camera, truth)[0] < 2 * np.max(fit.std[:3])
-
-
-@pytest.mark.long
-def test_rotation_that_no_mask_shows_is_named():
-    cylinder = trimesh.creation.cylinder(0.5, 2.0, sections=256)
-    scene = pj.Scene(mesh=pj.Mesh(cylinder.vertices, cylinder.faces))
-    camera = pj.Camera([3.0, 1, 2], [0, 0, 0], [0, 0, 1], 0.6, 1.0, 96, 80)
-    fit = pj.fit_camera(scene, drawn(camera, scene), turned(camera, [1, 2, 3], 5))
-    assert fit.iou > 0.999
-    axis = re.match(r"rotation about the axis \(([-.\d]+), ([-.\d]+), ([-.\d]+)\)", fit.weak[0])
-    assert axis is not None
-    assert_allclose([float(x) for x in axis.groups()], [0, 0, 1], atol=0.05)

@@ -8,7 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
+from oracles import single
 from refusals import refusal
+from results import fit_at
 
 import pinhole_jax as pj
 from pinhole_jax import formats, io
@@ -22,38 +24,33 @@ WRITTEN_ONLY = {"std", "object_in_camera", "covariance_frame"}
 STEP = {"camera": io.camera_to_dict(PLAIN), "W": 16, "H": 12, "steps": -1}
 
 
+TINY = np.finfo(float).tiny / 8
+
+
 def fit_of(camera, status="ambiguous", modes=()):
-    covariance = np.array(
-        [
-            [0.1 / 3, -1e-17, np.nan],
-            [-1e-17, np.finfo(float).tiny / 8, -np.inf],
-            [np.nan, -np.inf, np.inf],
-        ]
+    covariance = [[0.1 / 3, -1e-17, np.nan], [-1e-17, TINY, -np.inf], [np.nan, -np.inf, np.inf]]
+    return fit_at(
+        camera,
+        np.array(covariance),
+        ("rotation_b1", "e_x", "phi"),
+        status=status,
+        rms=1 / 3,
+        weak=("rotation about the axis (0.00, 1.00, 0.00)",),
+        modes=tuple(modes),
+        history=(pj.Progress(PLAIN, 16, 12, 0), pj.Progress(camera, 64, 48, 7)),
+        unbelieved=np.array([[1 / 3, 2.0], [40.5, 17.25]]),
     )
-    history = (pj.Progress(PLAIN, 16, 12, 0), pj.Progress(camera, 64, 48, 7))
-    names, weak = ("rotation_b1", "e_x", "phi"), ("rotation about the axis (0.00, 1.00, 0.00)",)
-    fit = pj.Fit(camera, status, names, covariance, 1 / 3, 0.99, (3, 4), weak=weak)
-    edge = np.array([[1 / 3, 2.0], [40.5, 17.25]])
-    return fit._replace(modes=tuple(modes), history=history, unbelieved=edge)
 
 
 def assert_equal(fit, other):
-    assert jax.tree.structure(fit) == jax.tree.structure(other)
-    for a, b in zip(jax.tree.leaves(fit), jax.tree.leaves(other), strict=True):
-        assert type(a) is type(b)
-        if isinstance(a, str):
-            assert a == b
-        else:
-            assert np.asarray(a).dtype == np.asarray(b).dtype
-            assert_array_equal(a, b, strict=True)
+    jax.tree.map(lambda a, b: assert_array_equal(a, b, strict=True), fit, other)
 
 
 def as_float32(fit):
-    """Return the fit with a camera of float32, as if it had been made of one."""
-    single = lambda camera: jax.tree.map(lambda x: x.astype(np.float32), camera)
-    history = tuple(step._replace(camera=single(step.camera)) for step in fit.history)
-    modes = tuple(map(as_float32, fit.modes))
-    return fit._replace(camera=single(fit.camera), history=history, modes=modes)
+    """Return the fit with cameras of float32, as if it had been made of one."""
+    is_camera = lambda x: isinstance(x, pj.Camera)
+    convert = lambda x: single(x) if is_camera(x) else x
+    return jax.tree.map(convert, fit, is_leaf=is_camera)
 
 
 FITS = {
@@ -77,18 +74,12 @@ def test_fit_comes_back_to_the_last_bit(name, tmp_path):
 
 def test_fit_file_is_strict_json_and_a_camera_file(tmp_path):
     path = tmp_path / "fit.json"
-    io.save_fit(path, fit_of(CAMERA, modes=[fit_of(PLAIN)]))
-
-    def refused(word):
-        raise AssertionError(word)
-
-    data = json.loads(path.read_text(), parse_constant=refused)
-    assert data == io.fit_to_dict(fit_of(CAMERA, modes=[fit_of(PLAIN)]))
-    assert data["fit"]["std"] == {
-        "rotation_b1": np.sqrt(0.1 / 3),
-        "e_x": np.sqrt(np.finfo(float).tiny / 8),
-        "phi": None,
-    }
+    fit = fit_of(CAMERA, modes=[fit_of(PLAIN)])
+    io.save_fit(path, fit)
+    data = json.loads(path.read_text(), parse_constant=pytest.fail)
+    assert data == io.fit_to_dict(fit)
+    std = {"rotation_b1": np.sqrt(0.1 / 3), "e_x": np.sqrt(TINY), "phi": None}
+    assert data["fit"]["std"] == std
     assert data["fit"]["covariance"][2] == [None, "-Infinity", "Infinity"]
     for read in (io.load_camera, formats.read_one):
         assert jax.tree.all(jax.tree.map(np.array_equal, read(path), CAMERA))

@@ -3,12 +3,12 @@
 import re
 import struct
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from refusals import refusal, refuses
 from test_distortion import BROWN, camera as lens_camera
+from test_formats_oracles import image_points
 
 import pinhole_jax as pj
 from pinhole_jax import formats
@@ -263,57 +263,45 @@ def test_model_is_not_written_beside_another(tmp_path):
 NAMES = "`format`: expected one of json, opencv, colmap, .* 'usd'"
 
 
-@pytest.mark.parametrize(
-    ("name", "cameras", "format", "message"),
-    [
-        ("c.glb", {"a": LENS}, None, "`cameras`: expected a centred principal point and square"),
-        (
-            "c.xml",
-            {"a": formats.resized(CAMERA, 40, 40)},
-            None,
-            "`cameras`: expected square pix",
-        ),
-        (
-            "c.yaml",
-            {"a": CAMERA, "b": LENS},
-            None,
-            "`cameras`: expected one K, lens and image",
-        ),
-        ("c.py", {"a": CAMERA, "b": LENS}, None, "`cameras`: expected one resolution and pixel"),
-        ("c.json", {}, None, "`cameras`: expected at least one, got none"),
-        ("c.json", {"a": CAMERA}, "usd", NAMES),
-        (
-            "c.usd",
-            {"a": CAMERA},
-            None,
-            r"`path`: expected a folder \(COLMAP\) or one of .json",
-        ),
-    ],
-)
-def test_unsupported_cameras_are_not_written(tmp_path, name, cameras, format, message):
+UNSUPPORTED = {
+    "`cameras`: expected a centred principal point and square": ("c.glb", {"a": LENS}),
+    "`cameras`: expected square pix": ("c.xml", {"a": formats.resized(CAMERA, 40, 40)}),
+    "`cameras`: expected one K, lens and image": ("c.yaml", {"a": CAMERA, "b": LENS}),
+    "`cameras`: expected one resolution and pixel": ("c.py", {"a": CAMERA, "b": LENS}),
+    "`cameras`: expected at least one, got none": ("c.json", {}),
+    r"`path`: expected a folder \(COLMAP\) or one of .json": ("c.usd", {"a": CAMERA}),
+    NAMES: ("c.json", {"a": CAMERA}, "usd"),
+}
+
+
+@pytest.mark.parametrize("message", UNSUPPORTED)
+def test_unsupported_cameras_are_not_written(tmp_path, message):
+    name, *given = UNSUPPORTED[message]
     with refusal(message):
-        formats.write(tmp_path / name, cameras, format)
+        formats.write(tmp_path / name, *given)
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(
-    ("name", "data", "format", "message"),
-    [
-        ("no.json", None, None, "`path`: expected a camera file, .* no such file"),
-        ("a.usd", b"", None, "formats are json, opencv, colmap, colmap-binary"),
-        ("a.py", b"", None, "`format`: expected one that can be read, got 'blender-s"),
-        ("a.json", b"{", None, "`path`: expected JSON, got"),
-        ("a.json", b"[]", None, r"`path`: expected a JSON object, got \[\]"),
-        ("a.json", b"\xff", None, "`path`: expected JSON, got .*: not UTF-8"),
-        (".", None, "json", "`path`: expected a camera file, got .*: a folder"),
-        ("a.json", b"{}", "usd", NAMES),
-    ],
-)
-def test_unreadable_paths_are_refused_by_name(tmp_path, name, data, format, message):
-    if data is not None:
-        (tmp_path / name).write_bytes(data)
-    with pytest.raises((FileNotFoundError, ValueError), match=message):
-        formats.read(tmp_path / name, format)
+UNREADABLE = {
+    "formats are json, opencv, colmap, colmap-binary": ("a.usd", b""),
+    "`format`: expected one that can be read, got 'blender-s": ("a.py", b""),
+    "`path`: expected JSON, got": ("a.json", b"{"),
+    r"`path`: expected a JSON object, got \[\]": ("a.json", b"[]"),
+    "`path`: expected JSON, got .*: not UTF-8": ("a.json", b"\xff"),
+    NAMES: ("a.json", b"{}", "usd"),
+}
+
+
+@pytest.mark.parametrize("message", UNREADABLE)
+def test_unreadable_paths_are_refused_by_name(tmp_path, message):
+    name, data, *format = UNREADABLE[message]
+    (tmp_path / name).write_bytes(data)
+    with refusal(message):
+        formats.read(tmp_path / name, *format)
+    with refusal("`path`: expected a camera file, got .*: a folder"):
+        formats.read(tmp_path, "json")
+    with pytest.raises(FileNotFoundError, match=r"`path`: expected a camera file, .* no such file"):
+        formats.read(tmp_path / "no.json")
 
 
 def test_size_is_for_files_without_one(tmp_path):
@@ -391,25 +379,16 @@ def test_pixel_centres_of_a_file_are_those_that_it_names(tmp_path):
         formats.read_opencv(path, pixel_centres="corner")
 
 
-POINTS = jnp.asarray(np.random.default_rng(0).normal(size=(5, 3)) * 0.5)
-
-
-def seen(camera):
-    """Return image coordinates: px from the top-left corner, y down."""
-    x, y = np.asarray(pj.project(camera, POINTS)).T
-    return np.stack([x, camera.H - y], axis=1)
-
-
 def test_crops_and_resizes_are_those_of_images():
     crop, resize, bent = formats.cropped, formats.resized, lens_camera(BROWN)
     for camera, film in (
-        (crop(bent, 5, 3, 40, 30), seen(bent) - [5, 3]),
-        (resize(bent, bent.W // 2, bent.H // 4), seen(bent) * [0.5, 0.25]),
-        (crop(CAMERA, 0.25, 1.5, 9, 9), seen(CAMERA) - [0.25, 1.5]),
-        (crop(crop(LENS, 7, -3, 11, 44), -7, 3, LENS.W, LENS.H), seen(LENS)),
-        (resize(crop(CAMERA, 4, 2, 20, 10), 40, 20), 2 * (seen(CAMERA) - [4, 2])),
+        (crop(bent, 5, 3, 40, 30), image_points(bent) - [5, 3]),
+        (resize(bent, bent.W // 2, bent.H // 4), image_points(bent) * [0.5, 0.25]),
+        (crop(CAMERA, 0.25, 1.5, 9, 9), image_points(CAMERA) - [0.25, 1.5]),
+        (crop(crop(LENS, 7, -3, 11, 44), -7, 3, LENS.W, LENS.H), image_points(LENS)),
+        (resize(crop(CAMERA, 4, 2, 20, 10), 40, 20), 2 * (image_points(CAMERA) - [4, 2])),
     ):
-        assert_allclose(seen(camera), film, atol=1e-12)
+        assert_allclose(image_points(camera), film, atol=1e-12)
     assert crop(CAMERA, 5, 3, 30, 25).lens is None  # the middle stays the middle
     assert resize(CAMERA, 80, 62).lens is None
 
