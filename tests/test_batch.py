@@ -54,7 +54,7 @@ def folder(tmp_path_factory, truths):
         (place / "mask_visib").mkdir(parents=True)
         cameras, objects = {}, {}
         for k, camera in enumerate(truths[begin : begin + 2]):
-            image = drawn(camera, pj.Scene(mesh=mesh)) > 0.5
+            image = drawn(camera, pj.Scene(mesh)) > 0.5
             io.save_image(place / "mask_visib" / f"{k:06d}_000000.png", image)
             K, R, t = (x.ravel().tolist() for x in in_opencv(camera))
             cameras[k] = {"cam_K": K, "depth_scale": 1.0}
@@ -126,8 +126,7 @@ def test_run_lengths_are_as_good_as_a_picture(records, rows):
     plain, size = np.diff([0, *steps, inside.size]).tolist(), rle["size"]
     for counts in (rle["counts"], rle["counts"].decode(), plain, tuple(plain), np.array(plain)):
         for shape in (size, tuple(size), np.array(size)):
-            found = io.mask_of_rle({"size": shape, "counts": counts})
-            assert_array_equal(found, 255 * inside)
+            assert_array_equal(io.mask_of_rle({"size": shape, "counts": counts}), 255 * inside)
     outside = {"size": size, "counts": [0, *plain]}
     row = batch.fit_one({**records[0], "mask": outside, "invert": True})
     assert (row["R"], row["status"]) == (rows[0]["R"], rows[0]["status"])
@@ -532,20 +531,31 @@ def start(script, ids, out, limit=0.0, **more):
     return subprocess.Popen([sys.executable, script, json.dumps(ids), out, str(limit)], **more)
 
 
+def finished(script, ids, out, limit=0.0, **more):
+    """The results of a run that ended by itself."""
+    assert start(script, ids, out, limit, **more).wait(60) == 0
+    return batch.Results(out)
+
+
 def test_worker_crash_costs_its_record_one_retry(script, tmp_path):
     ids = ["kills", *(f"fine-{k}" for k in range(6)), "once"]
-    assert start(script, ids, tmp_path / "out").wait(60) == 0
-    assert batch.Results(tmp_path / "out").counts() == {"converged": 7, "crashed": 1}
+    assert finished(script, ids, tmp_path / "out").counts() == {"converged": 7, "crashed": 1}
 
 
 @pytest.mark.long
 def test_record_that_takes_too_long_times_out(script, tmp_path):
     ids = ["loops", "sleeps", *(f"fine-{k}" for k in range(4))]
-    assert start(script, ids, tmp_path / "out", 1.0).wait(60) == 0
-    results = batch.Results(tmp_path / "out")
+    results = finished(script, ids, tmp_path / "out", 1.0)
     assert results.counts() == {"converged": 4, "timed_out": 2}
     assert results.row("loops")["words"] == "took more than 1 s"
     assert "did not end by itself" in results.row("sleeps")["words"]
+
+
+def wait_until(condition):
+    end = time.monotonic() + 30
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.02)
 
 
 @pytest.mark.parametrize("number", first(1, [signal.SIGINT, signal.SIGKILL]))
@@ -555,25 +565,17 @@ def test_stopped_run_resumes(script, tmp_path, number):
     ids += [f"waits-{k}" for k in range(4)]
     out = tmp_path / "out"
     process = start(script, ids, out, stderr=subprocess.DEVNULL, cwd=tmp_path)
-    while not list(out.glob("part-*")):
-        time.sleep(0.02)
-        assert process.poll() is None
+    wait_until(lambda: list(out.glob("part-*")))
     process.send_signal(number)
     process.wait(30)
     before = {row["id"]: row["words"] for row in batch.Results(out)}
     assert 40 <= len(before) <= 60
     for pid in set(before.values()):
-        for _ in range(100):
-            if not Path(f"/proc/{pid}").exists():
-                break
-            time.sleep(0.1)
-        else:
-            pytest.fail("a worker is left")
+        wait_until(lambda pid=pid: not Path(f"/proc/{pid}").exists())
     (tmp_path / "go").touch()
-    assert start(script, ids, out, cwd=tmp_path).wait(60) == 0
-    after = {row["id"]: row["words"] for row in batch.Results(out)}
+    after = {row["id"]: row["words"] for row in finished(script, ids, out, cwd=tmp_path)}
     assert sorted(after) == ids
-    assert all(after[id] == words for id, words in before.items())
+    assert after | before == after
 
 
 def test_script_without_main_guard_is_refused(tmp_path):

@@ -35,17 +35,17 @@ def moved_camera(camera, world):
 
 
 def noisy(camera):
-    mask = drawn(camera, pj.Scene(mesh=MESH))
+    mask = drawn(camera, pj.Scene(MESH))
     return mask + 0.01 * np.random.default_rng(1).normal(size=mask.shape)
 
 
 def one_view(world):
-    scene = pj.Scene(mesh=pj.Mesh(moved(MESH.vertices, world), MESH.faces))
+    scene = pj.Scene(pj.Mesh(moved(MESH.vertices, world), MESH.faces))
     return pj.fit_camera(scene, noisy(CAMERA), moved_camera(CAMERA, world), ("pose", "phi"))
 
 
 def two_cameras(world):
-    scene = pj.Scene(mesh=pj.Mesh(moved(MESH.vertices, world), MESH.faces))
+    scene = pj.Scene(pj.Mesh(moved(MESH.vertices, world), MESH.faces))
     given = {"a": CAMERA, "b": OTHER}
     views = [pj.JointView(scene, noisy(c), camera=name) for name, c in given.items()]
     starts = {name: moved_camera(c, world) for name, c in given.items()}
@@ -86,7 +86,7 @@ FILES = (
 
 @pytest.mark.parametrize("name", FILES)
 def test_start_of_any_convention_gives_the_same_covariance(tmp_path, name):
-    scene, mask = pj.Scene(mesh=MESH), noisy(CAMERA)
+    scene, mask = pj.Scene(MESH), noisy(CAMERA)
     formats.write(tmp_path / name, {"camera": CAMERA})
     (start,) = formats.read(tmp_path / name).values()
     fit, other = (pj.fit_camera(scene, mask, c, ("pose", "phi")) for c in (CAMERA, start))

@@ -202,7 +202,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.setattr(command, "_set_up_jax", lambda *_, **__: None)
     mesh, camera = shapes.bumpy(), Camera([0.3, 1, 5], np.deg2rad(34.4))
     trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(FILES["MESH"])
-    coverage = np.asarray(pj.silhouette(camera, pj.Scene(mesh=mesh)))
+    coverage = np.asarray(pj.silhouette(camera, pj.Scene(mesh)))
     io.save_image(FILES["MASK"], coverage)
     io.save_image(FILES["PHOTO"], 1 - coverage[..., None] * np.array([0.4, 0.75, 0.9]))
     io.save_camera("CAMERA.json", camera)

@@ -14,7 +14,7 @@ import pinhole_jax as pj
 from pinhole_jax import formats, io, shapes
 from pinhole_jax._solver.levenberg_marquardt import descended
 
-CAMERA, SCENE = usual_camera(), pj.Scene(mesh=shapes.bumpy(3))
+CAMERA, SCENE = usual_camera(), pj.Scene(shapes.bumpy(3))
 
 
 def cases(count):
@@ -29,7 +29,7 @@ def cases(count):
 @pytest.mark.parametrize(("convert", "worst"), first(1, [(lambda x: x, 1e-6), (single, 5e-3)]))
 def test_pose_and_focal_length_from_exact_masks(convert, worst, exhaustive):
     for trial, truth, start in cases(20 if exhaustive else 2):
-        seen = pj.Scene(mesh=shapes.bumpy(4, trial % 4))
+        seen = pj.Scene(shapes.bumpy(4, trial % 4))
         fit = pj.fit_camera(seen, drawn(truth, seen), convert(start), ("pose", "phi"))
         assert fit.status == "converged"
         assert degrees(fit, convert(truth)) < worst
@@ -131,7 +131,7 @@ def test_three_spheres_fix_a_pose_and_one_does_not():
 
 @pytest.mark.long
 def test_mesh_and_spheres_together():
-    both = pj.Scene(mesh=SCENE.mesh, spheres=pj.Spheres([[0.0, 1.9, 0]], [0.3]))
+    both = pj.Scene(SCENE.mesh, spheres=pj.Spheres([[0.0, 1.9, 0]], [0.3]))
     fit = pj.fit_camera(both, drawn(CAMERA, both), turned(CAMERA, [3, 1, 2], 8))
     assert_allclose(pj.pose_error(fit.camera, CAMERA), 0, atol=1e-8)
 
@@ -149,7 +149,7 @@ def test_inverted_mask_is_no_success():
 
 @pytest.mark.parametrize("manner", [{"outlier_px": None}, full({})])
 def test_exact_mask_of_another_shape_is_a_misfit(manner):
-    other = pj.Scene(mesh=shapes.bumpy(3, 1))
+    other = pj.Scene(shapes.bumpy(3, 1))
     fit = pj.fit_camera(SCENE, drawn(CAMERA, other), turned(CAMERA, [1, 2, 3], 5), **manner)
     assert fit.status == "misfit"
     assert any("of the outline" in words for words in fit.weak)
@@ -160,7 +160,7 @@ def test_meshes_and_images_of_similar_size_share_compiled_programs():
     pj.fit_camera(SCENE, drawn(CAMERA, SCENE), turned(CAMERA, [1, 2, 3], 5))
     programs = [descended._cached._cache_size()]
     for subdivisions, size in ((2, (300, 160)), (3, (90, 84))):
-        other = pj.Scene(mesh=shapes.bumpy(subdivisions, seed=1))
+        other = pj.Scene(shapes.bumpy(subdivisions, seed=1))
         camera = pj.Camera(CAMERA.e, CAMERA.p, CAMERA.u, 0.6, 1.0, *size)
         pj.fit_camera(other, drawn(camera, other), turned(camera, [1, 2, 3], 5))
     assert programs == [descended._cached._cache_size()]
@@ -272,7 +272,7 @@ def test_pytorch3d_cow_is_recovered(shared):
     given = json.loads((folder / "camera.json").read_text())
     pose = given["K"], given["R"], given["t"]
     truth = formats.from_opencv(*pose, 256, 256, pixel_centres="integer")
-    scene = pj.Scene(mesh=pj.load_mesh(folder / "cow.obj"))
+    scene = pj.Scene(pj.load_mesh(folder / "cow.obj"))
     mask = io.load_image(folder / "cow.png")[..., :3].min(axis=2) < 255
     random = np.random.default_rng(0)
     for off in ((1.05, 0.95), (0.95, 1.05), (1.05, 1.05), (0.95, 0.95)):
@@ -293,7 +293,7 @@ def test_shampoo_bottle_in_a_photo_is_recovered(shared, photo, exhaustive):
     bottle = given["objects"]["shampoo"]
     pose = given["K"], bottle["R"], bottle["t"]
     truth = formats.from_opencv(*pose, 960, 540, pixel_centres="integer")
-    scene = pj.Scene(mesh=pj.load_mesh(folder / "schauma.obj"))
+    scene = pj.Scene(pj.load_mesh(folder / "schauma.obj"))
     mask = io.load_mask(folder / bottle["mask"][photo])
     random = np.random.default_rng(0)
     for distance in (1.05, 0.95) if exhaustive else (1.05,):

@@ -12,7 +12,7 @@ import pinhole_jax as pj
 from pinhole_jax import formats, io, shapes
 
 W, H = 72, 56
-SCENE = pj.Scene(mesh=shapes.bumpy(3))
+SCENE = pj.Scene(shapes.bumpy(3))
 CAMERA = formats.cropped(
     pj.Camera([0.6, 1.4, 5], [0.2, 0.1, 0], [0.3, 1, 0.1], 0.55, 1.0, 80, 60), 5, 1, W, H
 )
@@ -73,7 +73,7 @@ def test_axis_of_the_field_of_view_is_found():
 def test_ball_leaves_the_axes_undecided():
     """A ball on the axis looks alike when the picture is turned upside down."""
     sphere = trimesh.creation.icosphere(subdivisions=3)
-    ball = pj.Scene(mesh=pj.Mesh(sphere.vertices, sphere.faces))
+    ball = pj.Scene(pj.Mesh(sphere.vertices, sphere.faces))
     camera = pj.Camera([0, 0, 5.0], [0, 0, 0], [0, 1, 0], 0.6, 1.0, W, H, pj.Lens([W / 2, H / 2]))
     _, R, t = formats.to_opencv(camera, pixel_centres="half")
     mask = np.asarray(pj.silhouette(camera, ball, overlaps=False))
@@ -97,7 +97,7 @@ def test_m3t_renderer_has_integer_centres(shared):
     given = json.loads((folder / "camera.json").read_text())
     bottle = given["objects"]["shampoo"]
     mask = io.load_image(folder / "silhouette_image.png") == bottle["id"]
-    scene = pj.Scene(mesh=pj.load_mesh(folder / bottle["mesh"]))
+    scene = pj.Scene(pj.load_mesh(folder / bottle["mesh"]))
     found = formats.detect(scene, mask, np.c_[bottle["R"], bottle["t"]], K=given["K"])
     best, next_best = found.hypotheses[:2]
     assert found.certain

@@ -2,6 +2,7 @@
 
 import json
 
+import cv2
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -25,6 +26,16 @@ def image_points(camera, points=POINTS):
     """Return px from the image's top-left corner, y down: what most programs call (u, v)."""
     xy = np.asarray(pj.project(camera, jnp.asarray(points)))
     return np.stack([xy[..., 0], camera.H - xy[..., 1]], axis=-1)
+
+
+def by_opencv(K, turn, shift, distortion, points):
+    """Return the same by OpenCV, whose pixel centres are at integers."""
+    return cv2.projectPoints(points, turn, shift, K, distortion)[0].reshape(-1, 2) + 0.5
+
+
+def matrices(path, *names):
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+    return [storage.getNode(name).mat() for name in names]
 
 
 # By hand: the eye is at (1, 2, 3), looks along -z, y is up; f = 4 px, 8 x 6 px. The point
@@ -162,14 +173,13 @@ def test_distortion_that_a_format_cannot_hold_is_refused(tmp_path, name, lens, m
 
 @pytest.mark.parametrize("name", [*CAMERAS, "brown", "four", "rational"])
 def test_opencv_reads_our_files_and_projects_alike(tmp_path, name):
-    cv2, camera = pytest.importorskip("cv2"), {**CAMERAS, **LENSES}[name]
-    path, names = tmp_path / "a.yaml", ("camera_matrix", "R", "t", "distortion_coefficients")
+    camera, path = {**CAMERAS, **LENSES}[name], tmp_path / "a.yaml"
     formats.write_opencv(path, {name: camera})
+    K, R, t, bent = matrices(path, "camera_matrix", "R", "t", "distortion_coefficients")
+    theirs = by_opencv(K, cv2.Rodrigues(R)[0], t, bent, POINTS)
+    assert_allclose(theirs, image_points(camera), rtol=0, atol=1e-9)
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
-    K, R, t, bent = (storage.getNode(k).mat() for k in names)
     assert storage.getNode("image_width").real() == camera.W
-    theirs = cv2.projectPoints(POINTS, cv2.Rodrigues(R)[0], t, K, bent)[0].reshape(-1, 2)
-    assert_allclose(theirs + 0.5, image_points(camera), rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("binary", [False, True])
@@ -263,9 +273,8 @@ def test_pytorch3d_recorded(size, ndc, fov):
     R, T = [[[-0.8, 0, -0.6], [0, 1, 0], [0.6, 0, -0.8]]], [[0.125, -0.25, 3]]
     points = np.array([[0.5, 0.25, -0.5], [-0.25, 0.75, 0.5]])
     H_W = size[::-1]
-    camera = formats.from_pytorch3d(
-        R, T, H_W, focal_length=[1.75, 2], principal_point=[0.125, -0.25]
-    )
+    lens = {"focal_length": [1.75, 2], "principal_point": [0.125, -0.25]}
+    camera = formats.from_pytorch3d(R, T, H_W, **lens)
     assert_allclose(image_points(camera, points).ravel(), ndc, atol=1e-12)
     back = formats.from_pytorch3d(in_ndc=False, **formats.to_pytorch3d(camera))
     assert_allclose(image_points(back, points).ravel(), ndc, atol=1e-12)
@@ -309,17 +318,15 @@ def test_mitsuba_recorded(tmp_path, sensor):
 
 def test_poses_that_opencv_wrote(shared):
     """OpenCV's own calibration of 13 photos."""
-    cv2 = pytest.importorskip("cv2")
     file = shared / "calib/opencv_chessboard/left_intrinsics.yml"
     cameras = formats.read(file)
     assert list(cameras) == [str(k) for k in range(13)]
-    storage = cv2.FileStorage(str(file), cv2.FILE_STORAGE_READ)
-    K, k = (storage.getNode(n).mat() for n in ("camera_matrix", "distortion_coefficients"))
+    names = "camera_matrix", "distortion_coefficients", "extrinsic_parameters"
+    K, bent, poses = matrices(file, *names)
     corners = np.array([[0.025 * x, 0.025 * y, 0] for x in range(9) for y in range(6)])
-    poses = storage.getNode("extrinsic_parameters").mat()
     for camera, pose in zip(cameras.values(), poses, strict=True):
-        theirs = cv2.projectPoints(corners, pose[:3], pose[3:], K, k)[0].reshape(-1, 2)
-        assert_allclose(theirs + 0.5, image_points(camera, corners), rtol=0, atol=1e-9)
+        theirs = by_opencv(K, pose[:3], pose[3:], bent, corners)
+        assert_allclose(theirs, image_points(camera, corners), rtol=0, atol=1e-9)
 
 
 def test_published_files(shared):

@@ -9,7 +9,7 @@ from oracles import drawn, usual_camera
 import pinhole_jax as pj
 
 CAMERA = usual_camera(48, 40)
-SCENE = pj.Scene(mesh=pj.shapes.bumpy(2))
+SCENE = pj.Scene(pj.shapes.bumpy(2))
 EXACT = drawn(CAMERA, SCENE)
 START = CAMERA.replace(e=[0.35, 1.03, 5.1])
 

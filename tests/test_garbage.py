@@ -160,8 +160,8 @@ def test_empty_scenes_cover_nothing():
     none = np.zeros((0, 3))
     for scene in (
         pj.Scene(),
-        pj.Scene(mesh=pj.Mesh(none, none.astype(int))),
-        pj.Scene(mesh=pj.Mesh(np.eye(3), [[0, 0, 0], [1, 1, 2]])),
+        pj.Scene(pj.Mesh(none, none.astype(int))),
+        pj.Scene(pj.Mesh(np.eye(3), [[0, 0, 0], [1, 1, 2]])),
         pj.Scene(spheres=pj.Spheres(none, none[:, 0])),
     ):
         assert not np.any(pj.silhouette(VIEW, scene))
@@ -188,10 +188,10 @@ def test_random_bits_as_vertices_are_refused_or_seen_without_nan(kind, exhaustiv
             refused += 1
             usable = np.abs(vertices) < np.finfo(dtype).max / 8
             mesh = pj.Mesh(np.where(usable, vertices, 0), faces)
-        hit = pj.trace(pj.Scene(mesh=mesh), camera)
+        hit = pj.trace(pj.Scene(mesh), camera)
         assert not np.any(np.isnan(hit.t))
         assert np.all(np.isfinite(hit.normal)) & np.all(np.isfinite(hit.barycentric))
-        image = np.asarray(pj.silhouette(camera, pj.Scene(mesh=mesh)))
+        image = np.asarray(pj.silhouette(camera, pj.Scene(mesh)))
         assert np.all((image >= 0) & (image <= 1 + 64 * np.finfo(dtype).eps))
     assert 0 < refused < meshes
 
@@ -199,7 +199,7 @@ def test_random_bits_as_vertices_are_refused_or_seen_without_nan(kind, exhaustiv
 @pytest.mark.long
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e300])
 def test_rays_that_are_no_rays_miss_and_leave_others_alone(bad):
-    scene = pj.Scene(mesh=pj.shapes.bumpy(1), spheres=pj.Spheres([[0.0, 0, 2]], [0.5]))
+    scene = pj.Scene(pj.shapes.bumpy(1), spheres=pj.Spheres([[0.0, 0, 2]], [0.5]))
     rays = np.tile([[[0.1, 0.2, 5.0]], [[0.0, 0, -1]]], (1, 5, 1))  # origins, directions
     whole = pj.trace(scene, pj.Rays(*rays))
     rays[0, 1, 0], rays[1, 2], rays[1, 3] = bad, 0, np.nan

@@ -26,7 +26,7 @@ def mesh():
 
 @pytest.fixture(scope="module")
 def gradients(mesh):
-    scene = pj.Scene(mesh=mesh)
+    scene = pj.Scene(mesh)
 
     def loss(moving):
         return jnp.sum(jnp.asarray(WEIGHT) * pj.silhouette(*moving))
@@ -81,7 +81,7 @@ def test_frozen_leaves_cost_no_derivative(mesh):
         (taken,) = re.findall(r"@pinhole_image_push.* : \((.*)\) ->", text)
         return [x for x in re.findall(r"tensor<([\dx]*)xf64>", taken)[-4:] if x[0] != "0"]
 
-    phi = lambda x: pj.silhouette(with_value(CAMERA, "phi", x), pj.Scene(mesh=mesh))
+    phi = lambda x: pj.silhouette(with_value(CAMERA, "phi", x), pj.Scene(mesh))
     assert pushed(phi, CAMERA.phi) == ["18"]
-    moving = lambda x: pj.silhouette(x[0], pj.Scene(mesh=pj.Mesh(x[1], mesh.faces)))
+    moving = lambda x: pj.silhouette(x[0], pj.Scene(pj.Mesh(x[1], mesh.faces)))
     assert pushed(moving, (CAMERA, mesh.vertices)) == ["18", "162x3"]

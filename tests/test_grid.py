@@ -49,7 +49,7 @@ def sheets(random, step):
 
 
 def scene_of(vertices, faces, dtype=float) -> pj.Scene:
-    return padded(pj.Scene(mesh=pj.Mesh(vertices.astype(dtype), faces)))
+    return padded(pj.Scene(pj.Mesh(vertices.astype(dtype), faces)))
 
 
 @eqx.filter_jit

@@ -21,7 +21,7 @@ from pinhole_jax import shapes
 # Of numbers whose differences are exact: the view direction, too.
 CAMERA = pj.Camera([0.25, 1.0, 5.0], [0.125, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 6, 5)
 BALLS = pj.Spheres([[0.4, 0.2, 1.0], [-0.5, 0.1, 0]], [0.4, 0.6])
-SCENE = pj.Scene(mesh=shapes.bumpy(0), spheres=BALLS)
+SCENE = pj.Scene(shapes.bumpy(0), spheres=BALLS)
 
 
 # --- batches -------------------------------------------------------------------------------------
@@ -63,9 +63,8 @@ def test_poisoned_element_leaves_the_rest_of_a_batch_alone(bad):
     whole = jax.tree.leaves(batch(cameras, scenes))
     assert not any(np.any(np.isnan(leaf)) for leaf in whole)
     for k, leaf in enumerate(leaves):
-        new = np.array(leaf)
-        new.reshape(3, -1)[1, 0] = bad
-        spoilt = jax.tree.unflatten(tree, [*leaves[:k], jnp.asarray(new), *leaves[k + 1 :]])
+        bad_leaf = leaf.at[(1, *[0] * (leaf.ndim - 1))].set(bad)
+        spoilt = jax.tree.unflatten(tree, [*leaves[:k], bad_leaf, *leaves[k + 1 :]])
         for x, y in zip(jax.tree.leaves(batch(*eqx.combine(spoilt, rest))), whole, strict=True):
             assert_array_equal(x[::2], y[::2])
 
@@ -104,7 +103,7 @@ VIEWS = {
 def test_no_operation_makes_nan(name):
     """Every operation on its own: minutes."""
     *view, mesh, spheres = VIEWS[name]
-    moving = pj.Camera(*view, W=3, H=3), pj.Scene(mesh=mesh, spheres=spheres)
+    moving = pj.Camera(*view, W=3, H=3), pj.Scene(mesh, spheres=spheres)
     with jax.disable_jit(), jax.debug_nans(True):
         value, slopes = eqx.filter_value_and_grad(lambda x: summary(*x, True))(moving)
     for leaf in jax.tree.leaves((value, slopes)):
@@ -118,9 +117,9 @@ def test_no_operation_makes_nan(name):
 @partial(jax.jacrev, has_aux=True)
 def looking(camera):
     """Return derivatives of sums by the camera, and what it sees."""
-    image, rays, hit, points = seen(camera, SCENE)
+    image, rays, _, points = seen(camera, SCENE)
     sums = jnp.sum(image), jnp.sum(points)
-    return sums, (image, rays.direction, hit.t, points, pj.depth(camera, SCENE))
+    return sums, (image, rays.direction, points, pj.depth(camera, SCENE))
 
 
 @pytest.mark.parametrize("part", first(0, ["u", "p"], of=2))
@@ -128,14 +127,10 @@ def test_traced_camera_that_is_none_sees_nothing(part):
     """Its up direction is the view direction, or its view point the eye."""
     value = CAMERA.p - CAMERA.e if part == "u" else CAMERA.e
     camera = eqx.tree_at(lambda c: getattr(c, part), CAMERA, value)
-    slopes, (image, direction, t, points, depth) = looking(camera)
+    slopes, (image, direction, points, depth) = looking(camera)
     assert_allclose(image, 0, atol=1e-15)
     assert_allclose(points, np.tile([3, 2.5], (len(points), 1)))  # the principal point
-    view = np.array(CAMERA.p - CAMERA.e) if part == "u" else np.zeros(3)
     assert np.all(np.linalg.norm(direction, axis=-1) <= 1)  # beside the axis they are shorter
-    assert_allclose(np.cross(direction, view), 0, atol=1e-14)
-    assert np.all((direction @ view > 0) == (part == "u"))
-    assert part == "u" or np.all(np.isinf(t))
     assert np.all(np.isposinf(depth))
     assert all(np.all(np.isfinite(slope)) for slope in jax.tree.leaves(slopes))
 
