@@ -134,7 +134,7 @@ def test_command_names_the_wrong_robot_argument(robot_files, capsys):
         "`MASK`: expected one for each of 3 rows of 'joints.csv'": [*robot_files[:-1], *start],
         "`--joint-zeros`: expected a positive": [*words, "--joint-zeros", "-1"],
         "expected none with `--in-hand`": [*words, "--joint-zeros", "1", "--in-hand", "arm"],
-        "`--propose`: expected 1 angles in row 1": [*words, "--propose", "short.json"],
+        "`postures`: expected 1 angles in each row": [*words, "--propose", "short.json"],
         "expected `pose` in --free": [*words, "--free", "phi", "--propose", "joints.csv"],
         "`--refine`: expected photos, --images": [*words, "--refine"],
         "`--images`: expected one for each of 3": [*words, "--images", masks[0]],
@@ -145,9 +145,9 @@ def test_command_names_the_wrong_robot_argument(robot_files, capsys):
         "`--leave-out`: expected links among base": [*words, "--leave-out", "tool"],
         "-34 in row 2 of 'far.csv': degrees?": joints("far.csv"),
         "`JOINTS`: expected -3 to 3 rad of joint": joints("deg.json"),
-        '`JOINTS`: expected "unit": "rad" or "deg", got \'unit\': \'gon\'': joints("gon.json"),
+        "`unit`: expected one of rad, deg, got 'gon' (in 'gon.json')": joints("gon.json"),
         "`JOINTS`: expected one of each joint, got none": joints("other.csv"),
-        "`JOINTS`: expected 1 angles in row 1, got 2": [*robot, "short.json", masks[0], *start],
+        "`postures`: expected 1 angles in": [*robot, "short.json", masks[0], *start],
     }.items():  # fmt: skip
         assert command.main(change) == 2
         assert message in capsys.readouterr().err

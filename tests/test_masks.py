@@ -263,17 +263,6 @@ SMOOTH = 150 + 60 * np.dstack(
 )
 
 
-@pytest.mark.parametrize("softness", [1, 2, 3])
-@pytest.mark.parametrize("back", [0, 255])
-@pytest.mark.parametrize("kind", ["two hues", "smooth"])
-def test_many_colours_that_fade_to_the_background_are_refused(tmp_path, kind, softness, back):
-    hues = 255 * np.dstack([SMOOTH_X < 50, 0 * SMOOTH_X, SMOOTH_X >= 50])
-    share = disc(softness)[..., None]
-    mixed = (SMOOTH if kind == "smooth" else hues) * share + back * (1 - share)
-    with refusal(r"a soft edge, too.* alpha .*--mask-from luminance\)"):
-        load(tmp_path, channels(np.uint8(np.round(mixed)), np.uint8(255 * (share > 0))))
-
-
 RADIUS = np.hypot(SMOOTH_X - 50.3, SMOOTH_Y - 41.7)[..., None]
 LIT = np.sqrt(np.clip(1 - (RADIUS / 28.5) ** 2, 0, 1))
 #: Pictures whose transparency alone is the mask: colours, opacity.

@@ -8,7 +8,7 @@ from typing import Any
 import pinhole_jax as pj
 
 from .. import Fit, formats, report
-from .._files.progress import Clock, Ticker
+from .._files.progress import Ticker
 from ..batch.inputs import read_inputs
 from ..plot import disagreement, overlay
 from .options import record_of
@@ -17,7 +17,6 @@ from .outputs import check_outputs, write_results
 
 def run(options: argparse.Namespace, progress: Ticker) -> int:
     """Fit, print and write; return 0, or 1 for a fit not to trust."""
-    clock = progress.clock = Clock()
     check_outputs(output=Path(options.output) / "camera.json", report=options.report)
     if options.refine and options.image is None:
         raise ValueError("`refine`: expected a photo, got none: add --image PHOTO")
@@ -33,18 +32,19 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
     drawing = overlay(picture, fit.camera, scene)
     notes = () if fit.status == "non_finite" else disagreement(fit.camera, scene, mask)
     progress.done()
-    _print(fit, notes, clock, centres)
+    _print(fit, notes, progress, centres)
     title = f"Camera of {Path(options.mesh).name} from {Path(options.mask).name}"
     page = lambda: report.page(fit, scene, mask, picture, title, pixel_centres=centres)
     write_results(options, fit, {"overlay.png": drawing}, page)
     return 0 if fit.status == "converged" else 1
 
 
-def _print(fit: Fit, notes: Sequence[str], clock: Clock, pixel_centres: Any) -> None:
+def _print(fit: Fit, notes: Sequence[str], progress: Ticker, pixel_centres: Any) -> None:
     print(fit)
     for note in notes:
         print(f"note       {note}")
     if fit.status != "non_finite":
         print(formats.object_pose(fit, pixel_centres=pixel_centres))
-    running = clock.elapsed() - clock.compiling
-    print(f"time       {clock.compiling:.1f} s compile, {running:.1f} s run")
+    compiling = progress.compiling()
+    running = progress.elapsed() - compiling
+    print(f"time       {compiling:.1f} s compile, {running:.1f} s run")

@@ -9,7 +9,7 @@ import numpy as np
 
 from .. import Camera, JointFit, JointView, fit_joint, split_check
 from .._files.naming import named
-from .._files.progress import Clock, Ticker
+from .._files.progress import Ticker
 from ..batch.inputs import poseless_camera, read_mask, read_photo, read_start
 from ..formats import object_pose
 from ..plot import overlay
@@ -23,7 +23,6 @@ from .proposals import best_postures, worths
 
 def run(options: argparse.Namespace, progress: Ticker) -> int:
     """Fit, print and write; return 0, or 1 for a fit not to trust."""
-    progress.clock = Clock()
     check_outputs(output=Path(options.output) / "camera.json", report=options.report)
     robot = read_robot(options)
     views = read_views(robot, options, progress.tell)

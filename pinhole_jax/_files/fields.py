@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from .paths import FilePath, read_json
+from .paths import MOST_BYTES, FilePath, read_json
 
 Part = TypeVar("Part")
 #: Width and height of an image, px.
@@ -170,9 +170,9 @@ class Fields:
         return own
 
 
-def read_fields(path: FilePath, kind: str) -> Fields:
+def read_fields(path: FilePath, kind: str, most: int = MOST_BYTES) -> Fields:
     """Return the fields of a JSON file; `kind` is what its readers expect."""
-    data = read_json(path, kind)
+    data = read_json(path, kind, most)
     if not isinstance(data, dict):
         raise ValueError(f"`path`: expected a JSON object, got {short(data)} in {str(path)!r}")
     return Fields(data, repr(str(path)))

@@ -32,6 +32,8 @@ STREAMS = {
     "/dev/fd/2": 2,
     "/proc/self/fd/2": 2,
 }
+#: The kinds of things at a path, by their letter in a listing of files.
+KINDS = {"-": "a file", "d": "a folder", "p": "a pipe", "s": "a socket"}
 #: A pipe that nobody writes to, or reads from, is not waited for (Windows has none of these).
 NO_WAIT = getattr(os, "O_NONBLOCK", 0)
 
@@ -64,34 +66,35 @@ def is_folder(path: Any) -> bool:
 
 
 def existing_file(path: Any, kind: str, most: int | None = None) -> Path:
-    """Return the path of a regular file to read, of at most this many bytes.
-
-    Raises FileNotFoundError, or ValueError where it is no regular file, too large or out of reach.
-    """
-    file = as_path(path)
-    try:
-        with _refusal(path, kind, FileNotFoundError):  # no permission, a name too long, a zero byte
-            _check_regular(os.stat(file), most)
-    except FileNotFoundError:
-        words = f"`path`: expected {kind}, got {str(path)!r}: no such file"
-        raise FileNotFoundError(words) from None
-    return file
+    """Return the path of a file that `open_file` opens."""
+    open_file(path, kind, most).close()
+    return as_path(path)
 
 
 def open_file(path: Any, kind: str, most: int | None = MOST_BYTES) -> BinaryIO:
-    """Return a regular file, open for reading.
+    """Return a regular file of at most this many bytes, open for reading.
 
-    Raises FileNotFoundError or ValueError like `existing_file`.
+    Raises FileNotFoundError, or ValueError where it is no regular file, too large or out of reach.
     """
-    file = existing_file(path, kind, most)
-    with _refusal(path, kind):
-        stream = os.fdopen(os.open(file, os.O_RDONLY | NO_WAIT), "rb")
-        try:
-            _check_regular(os.fstat(stream.fileno()), most)  # it may be another by now
-        except ValueError:
-            stream.close()
-            raise
-    return stream
+    file, handle = as_path(path), None
+    try:
+        with _refusal(path, kind, FileNotFoundError):  # no permission, a name too long, a zero byte
+            handle = os.open(file, os.O_RDONLY | NO_WAIT)
+            found = os.fstat(handle)
+            if not stat.S_ISREG(found.st_mode):
+                raise ValueError(
+                    "a folder" if stat.S_ISDIR(found.st_mode) else "not a regular file"
+                )
+            if most is not None and found.st_size > most:
+                raise ValueError(f"more than {most} bytes")
+            stream, handle = os.fdopen(handle, "rb"), None
+            return stream
+    except FileNotFoundError:
+        words = f"`path`: expected {kind}, got {str(path)!r}: no such file"
+        raise FileNotFoundError(words) from None
+    finally:
+        if handle is not None:
+            os.close(handle)
 
 
 def read_bytes(path: Any, kind: str, most: int = MOST_BYTES) -> bytes:
@@ -117,9 +120,9 @@ def decode_text(data: bytes, path: Any, kind: str = "text") -> str:
         raise ValueError(f"`path`: expected {kind}, got {_name(path)}: not UTF-8") from None
 
 
-def read_json(path: Any, kind: str) -> Any:
+def read_json(path: Any, kind: str, most: int = MOST_BYTES) -> Any:
     """Return the data of a JSON file, or raise as `existing_file` and `parse_json`."""
-    return parse_json(decode_text(read_bytes(path, kind), path, "JSON"), path)
+    return parse_json(decode_text(read_bytes(path, kind, most), path, "JSON"), path)
 
 
 def parse_json(text: str, path: Any, kind: str = "JSON") -> Any:
@@ -195,13 +198,6 @@ def reason(error: Exception) -> str:
     return re.sub(r"\s*<_io\.[^>]*>", "", first)  # how a reader calls the stream that it was given
 
 
-def _check_regular(found: os.stat_result, most: int | None) -> None:
-    if not stat.S_ISREG(found.st_mode):
-        raise ValueError("a folder" if stat.S_ISDIR(found.st_mode) else "not a regular file")
-    if most is not None and found.st_size > most:
-        raise ValueError(f"more than {most} bytes")
-
-
 def _check_replaceable(target: Path) -> None:
     if (kind := _kind(target)) not in (None, "a file"):
         raise ValueError(kind)
@@ -224,13 +220,12 @@ def first_repeat(names: Iterable[Name]) -> Name | None:
     return next((name for name in names if name in seen or seen.add(name)), None)
 
 
-def is_deep(data: Any) -> bool:
-    """True if lists and maps are nested deeper than `MOST_DEPTH`."""
-    level: list[Any] = [[data]]
-    for _ in range(MOST_DEPTH + 2):
-        values = (part.values() if isinstance(part, dict) else part for part in level)
-        level = [x for part in values for x in part if isinstance(x, (dict, list))]
-    return bool(level)
+def is_deep(data: Any, levels: int = MOST_DEPTH) -> bool:
+    """True if lists and maps are nested deeper than this many levels."""
+    if not isinstance(data, dict | list):
+        return False
+    parts = data.values() if isinstance(data, dict) else data
+    return levels == 0 or any(is_deep(part, levels - 1) for part in parts)
 
 
 def _stream_number(target: Path) -> int | None:
@@ -239,14 +234,8 @@ def _stream_number(target: Path) -> int | None:
 
 def _kind(target: Path) -> str | None:
     """Return the kind of thing at a path, through links; None if there is nothing."""
-    kinds = {
-        stat.S_IFREG: "a file",
-        stat.S_IFDIR: "a folder",
-        stat.S_IFIFO: "a pipe",
-        stat.S_IFSOCK: "a socket",
-    }
     try:
-        return kinds.get(stat.S_IFMT(os.stat(target).st_mode), "a device")
+        return KINDS.get(stat.filemode(os.stat(target).st_mode)[0], "a device")
     except FileNotFoundError:
         return None
 

@@ -56,10 +56,9 @@ def shown(
         yield say
     elif progress or (progress is None and _is_notebook()):
         with Ticker(text, live=_is_notebook() or None) as ticker:
-            ticker.clock = Clock()
             yield say
         if progress:
-            ticker.tell(f"{text}: {ticker.clock.elapsed():.1f} s{ticker.clock.words()}")
+            ticker.tell(f"{text}: {ticker.elapsed():.1f} s{ticker.compiled_words()}")
     else:
         yield None
 
@@ -86,32 +85,9 @@ def _compiled() -> list[float]:
     return total
 
 
-class Clock:
-    """Time since it was made, and how much of it JAX spent tracing and compiling."""
-
-    def __init__(self) -> None:
-        self._before, self._begin = tuple(_compiled()), time.perf_counter()
-
-    @property
-    def compiling(self) -> float:
-        return _compiled()[0] - self._before[0]
-
-    def words(self) -> str:
-        """Return the time and the number of programs compiled, as text; "" if that is little."""
-        programs = _compiled()[1] - self._before[1]
-        if self.compiling < SHORT or not programs:
-            return ""
-        return f", {self.compiling:.0f} s of it compiling ({programs:.0f} programs, the first time)"
-
-    def elapsed(self) -> float:
-        return time.perf_counter() - self._begin
-
-
 class Ticker:
     """A line on stderr with the current step: on a terminal overwritten in place, elsewhere printed
     every `OFTEN` seconds; with `verbose`, every report is printed."""
-
-    clock: Clock | None = None
 
     def __init__(
         self,
@@ -125,6 +101,22 @@ class Ticker:
         self._done = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._begin = self._told = time.perf_counter()
+        self._before = tuple(_compiled())
+
+    def elapsed(self) -> float:
+        """Return the time (s) since the line was made."""
+        return time.perf_counter() - self._begin
+
+    def compiling(self) -> float:
+        """Return the part of that time (s) in which JAX traced and compiled."""
+        return _compiled()[0] - self._before[0]
+
+    def compiled_words(self) -> str:
+        """Return that part and the number of programs, as text; "" if it is little."""
+        seconds, programs = self.compiling(), _compiled()[1] - self._before[1]
+        if seconds < SHORT or not programs:
+            return ""
+        return f", {seconds:.0f} s of it compiling ({programs:.0f} programs, the first time)"
 
     def say(self, text: str) -> None:
         self._text = text
@@ -154,13 +146,11 @@ class Ticker:
     def _run(self) -> None:
         shown = False
         while not self._done.wait(RENEWED):
-            now = time.perf_counter()
-            more = self.clock.words() if self.clock else ""
-            line = f"{now - self._begin:4.0f} s  {self._text}{more}"
-            if self._live and now - self._begin > SHORT:
+            line = f"{self.elapsed():4.0f} s  {self._text}{self.compiled_words()}"
+            if self._live and self.elapsed() > SHORT:
                 shown = True
                 print(f"\r\x1b[K{line}", end="", file=sys.stderr, flush=True)
-            elif not self._live and now - self._told >= OFTEN:
+            elif not self._live and time.perf_counter() - self._told >= OFTEN:
                 self.tell(line)
         if shown:
             print("\r\x1b[K", end="", file=sys.stderr, flush=True)

@@ -6,6 +6,7 @@ first sight is refused, with the ways to read it.
 
 import re
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +22,6 @@ from .transparency import (
     LIGHT,
     colours_at,
     mask_with_colours,
-    nearest,
     opacity,
     ring,
     shrunk,
@@ -55,10 +55,10 @@ def load_mask(
 
     - None: transparency if it varies, else a grey picture that is mostly black and white. Soft
       edges stay as they are, a JPEG's too: its ringing costs a fit less than a threshold would.
-      Where transparency is all or nothing and the colours hold the soft edge, both count; many
-      colours that do are refused. So are label pictures: more than two flat levels, or two colours
-      on transparency. A mask that covers its border, as black on white does, needs `invert` or a
-      way to read it. Two values, such as 25 and 255, become 0 and 255.
+      Where transparency is all or nothing and shades of one colour hold the soft edge, both count.
+      Label pictures are refused: more than two flat levels, or two colours on transparency. So is
+      a mask that covers its border, as black on white does: it needs `invert` or a way to read it.
+      Two values, such as 25 and 255, become 0 and 255.
     - "alpha": the transparency. "luminance": the brightness, whatever it is.
     - "label=N": the pixels with this grey value or palette entry; edges are hard.
     - "background=COLOR": a photo before a background of one colour, by name or as #rrggbb. The
@@ -76,19 +76,20 @@ def load_mask(
     mask = pj.io.load_mask("mask.png")
     ```
     """
-    way = parse_way(mask_from)
-    read = from_picture(path, "a mask", lambda image: read_mask(image, way, invert))
-    if say is not None and read.words:
-        say(read.words)
-    return read.mask
+    way = _way(mask_from)
 
+    def read(image: Image) -> MaskReading:
+        found = way(image)
+        if invert:
+            return MaskReading(255 - found.mask, f"{found.words or HAZE}, inverted")
+        if mask_from is None:
+            _check_border(found)
+        return found
 
-class Way(NamedTuple):
-    """A way to read a mask: its name, and the label, or the colour's name and the tolerance."""
-
-    name: str
-    value: str = ""
-    tolerance: float | None = None
+    mask, words = from_picture(path, "a mask", read)
+    if say is not None and words:
+        say(words)
+    return mask
 
 
 class MaskReading(NamedTuple):
@@ -98,39 +99,23 @@ class MaskReading(NamedTuple):
     words: str
 
 
-def parse_way(mask_from: str | None) -> Way:
-    """Return the way that a user names; None is what is seen at first sight.
+def _way(mask_from: str | None) -> Callable[[Image], MaskReading]:
+    """Return the reader of pictures that a user names; None is what is seen at first sight.
 
     Raises ValueError for any other text than `WAYS` has, and for colours of no known name.
     """
-    text = "first sight" if mask_from is None else mask_from
-    if re.fullmatch(r"first sight|alpha|luminance", text):
-        return Way(text)
-    if found := re.fullmatch(r"label=(\d{1,9})", text):
-        return Way("label", found[1])
-    if found := re.fullmatch(r"background=(.+?)(?:,(\d+(?:\.\d*)?))?", text):
-        try:
-            _colour(found[1])
-        except ValueError:
-            raise ValueError(
-                f"`mask_from`: expected a colour such as white or #1e90ff, got {found[1]!r}"
-            ) from None
-        return Way("background", found[1], float(found[2]) if found[2] else None)
-    raise ValueError(f"`mask_from`: expected one of {WAYS}, got {text!r}")
-
-
-def read_mask(image: Image, way: Way, invert: bool = False) -> MaskReading:
-    """Return the mask that a picture holds; at first sight its transparency if that varies, else
-    its brightness if that is a mask's. `invert`: what is read is the background.
-
-    Raises ValueError with what the picture holds instead.
-    """
-    read = _read(image, way)
-    if invert:
-        return MaskReading(255 - read.mask, f"{read.words or 'mask: its brightness'}, inverted")
-    if way.name == "first sight":
-        _check_border(read)
-    return read
+    if mask_from is None:
+        return _at_first_sight
+    if mask_from == "alpha":
+        return lambda image: MaskReading(opacity(image), ALPHA)
+    if mask_from == "luminance":
+        return lambda image: MaskReading(eight_bits(image), HAZE)
+    if found := re.fullmatch(r"label=(\d{1,9})", mask_from):
+        return partial(_label, number=int(found[1]))
+    if found := re.fullmatch(r"background=(.+?)(?:,(\d+(?:\.\d*)?))?", mask_from):
+        limit = None if found[2] is None else float(found[2])
+        return partial(_background, back=_colour(found[1]), name=found[1], tolerance=limit)
+    raise ValueError(f"`mask_from`: expected one of {WAYS}, got {mask_from!r}")
 
 
 def _check_border(read: MaskReading) -> None:
@@ -145,18 +130,6 @@ def _check_border(read: MaskReading) -> None:
         " amid void; give `invert` (on the command line: --invert), or where it is right"
         f" `mask_from` {way} (--mask-from {way}) and a camera to start from"
     )
-
-
-def _read(image: Image, way: Way) -> MaskReading:
-    if way.name == "alpha":
-        return MaskReading(opacity(image), ALPHA)
-    if way.name == "luminance":
-        return MaskReading(eight_bits(image), "mask: its brightness")
-    if way.name == "label":
-        return _label(image, int(way.value))
-    if way.name == "background":
-        return _background(image, way.value, way.tolerance)
-    return _at_first_sight(image)
 
 
 def _at_first_sight(image: Image) -> MaskReading:
@@ -199,13 +172,9 @@ def _counts(grey: np.ndarray) -> np.ndarray:
 
 def _stretched(grey: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return a picture scaled so that its largest value is 255; its two values as 0 and 255."""
-    from PIL import Image as pillow
-
-    is_hard, most = len(values) == 2, values[-1]
-    table = [
-        255 * (x >= most) if is_hard or x > most else round(255 * x / most) for x in range(256)
-    ]
-    return np.asarray(pillow.fromarray(grey).point(table))
+    steps, most = np.arange(256), values[-1]
+    scaled = steps >= most if len(values) == 2 else (steps / most).clip(0, 1)
+    return np.round(255 * scaled).astype(np.uint8)[grey]
 
 
 def _transparent(image: Image) -> MaskReading | None:
@@ -292,7 +261,7 @@ def _label(image: Image, number: int) -> MaskReading:
     return MaskReading(mask, words)
 
 
-def _background(image: Image, name: str, tolerance: float | None) -> MaskReading:
+def _background(image: Image, back: np.ndarray, name: str, tolerance: float | None) -> MaskReading:
     """Return a mask of pixels that differ from a colour by more than a tolerance (CIE Lab).
 
     Without one, Otsu's threshold parts near from far. Specks and pinholes are dropped, and the
@@ -301,7 +270,6 @@ def _background(image: Image, name: str, tolerance: float | None) -> MaskReading
     from skimage.color import rgb2lab
     from skimage.filters import threshold_otsu
 
-    back = _colour(name)
     off = lambda band: rgb2lab(np.asarray(band.convert("RGB"))) - rgb2lab(back[None, None] / 255)
     distance = by_bands(image, lambda band: np.linalg.norm(off(band), axis=-1), dtype=np.float32)
     if np.ptp(distance) == 0:
@@ -326,11 +294,13 @@ def _with_soft_edges(inside: np.ndarray, image: Image, back: np.ndarray) -> np.n
     A pixel beside the edge is a mixture of the background and the object's nearest colour. Its
     coverage is its place between both, in the values as stored.
     """
+    from scipy.spatial import KDTree
+
     deep, far = shrunk(inside, BAND_PX), shrunk(~inside, BAND_PX)
-    places = np.argwhere(~(deep | far))
-    pixels, _ = nearest(ring(deep, 0), places)
+    places, points = np.argwhere(~(deep | far)), np.argwhere(ring(deep))
     mask = np.where(inside, np.uint8(255), np.uint8(0))
-    if np.any(deep) and len(places):
+    if len(points) and len(places):
+        pixels = points[KDTree(points).query(places)[1]]
         whole, mixed = (colours_at(image, x) - back for x in (pixels, places))
         size = np.maximum(np.sum(whole**2, axis=-1), 1e-2)
         share = np.clip(np.sum(mixed * whole, axis=-1) / size, 0, 1)
@@ -341,4 +311,9 @@ def _with_soft_edges(inside: np.ndarray, image: Image, back: np.ndarray) -> np.n
 def _colour(name: str) -> np.ndarray:
     from PIL import ImageColor
 
-    return np.array(ImageColor.getrgb(name)[:3])
+    try:
+        return np.array(ImageColor.getrgb(name)[:3])
+    except ValueError:
+        raise ValueError(
+            f"`mask_from`: expected a colour such as white or #1e90ff, got {name!r}"
+        ) from None
