@@ -6,16 +6,18 @@ import json
 import os
 from collections.abc import Callable, Iterator
 from functools import partial
-from operator import index
 from pathlib import Path
 from reprlib import repr as brief
 from typing import Any
 
+from .._files.paths import read_json
 from .records import FIELDS, PATHS, PICTURES, Record, files_of
 
 #: The endings of meshes and tables.
 MESHES = (".ply", ".obj", ".stl", ".glb", ".gltf", ".off")
 TABLES = (".csv", ".jsonl")
+#: The most bytes of a JSON file: a challenge's detections.
+MOST_BYTES = 1 << 31
 #: The file of a BOP scene's cameras, and the folders of its models, beside the splits.
 CAMERAS, MODELS = "scene_camera.json", ("models", "models_eval", "models_cad")
 
@@ -79,7 +81,7 @@ def read_dataset(
         inside = [place.resolve(), *sorted(place.resolve().iterdir())]
         kind, records = "folder", partial(_folder_records, place)
         if scenes := [folder for folder in inside if (folder / CAMERAS).is_file()]:
-            found = None if detections is None else _detections(Path(detections), scenes)
+            found = None if detections is None else Path(detections)
             shapes = _models(place, models)
             kind, records = "BOP", partial(_bop_records, scenes, shapes, found, start)
     elif place.suffix.lower() not in TABLES:
@@ -105,93 +107,55 @@ def _models(place: Path, models: str | os.PathLike[str] | None) -> Path:
     raise ValueError(f"`models`: expected the folder of the models of {str(place)!r}, {words}")
 
 
-#: The objects of each scene's images, as BOP labels them; those detected have a `segmentation`.
-_Labels = dict[int, dict[str, list[dict[str, Any]]]]
-
-
 def _bop_records(
-    scenes: list[Path], models: Path, detections: _Labels | None, start: bool
+    scenes: list[Path], models: Path, detections: Path | None, start: bool
 ) -> Iterator[Record]:
-    needed = "objects with `obj_id`" + ", `cam_R_m2c` and `cam_t_m2c` to start from" * start
+    from .._files.fields import Fields, read_fields  # load NumPy, which counts the cores
+
+    found = {} if detections is None else _detections(detections)
+    names = [scene.name for scene in scenes]
+    if found and found.keys().isdisjoint(name.zfill(6) for name in names):
+        words = f"expected `scene_id` among the folders of `path`, {brief(names)}"
+        raise ValueError(f"`detections`: {words}, got {brief([*found])} in {str(detections)!r}")
     for scene in scenes:
-        file, cameras = scene / "scene_gt.json", _json(scene / CAMERAS, "path", dict)
+        cameras = read_fields(scene / CAMERAS, "a scene's cameras", MOST_BYTES)
         if detections is None:
-            labels = _json(file, "path", dict)
+            labels = read_fields(scene / "scene_gt.json", "a scene's labels", MOST_BYTES)
         else:
-            labels = detections.get(_number(scene), {})
-        for image, objects in labels.items():
-            words = f"`path`: expected a camera in {str(scene / CAMERAS)!r}, image {image!r}"
-            with _expecting(words, cameras.get(image)):
-                K = cameras.get(image, {}).get("cam_K")
-            with _expecting(
-                f"`path`: expected {needed} in {str(file)!r}, image {image!r}", objects
-            ):
-                stem = f"{int(image):06d}"
-                fields = [_object_fields(label, start) for label in objects]
-            for number, (object_, own) in enumerate(fields):
+            labels = Fields(found.get(scene.name.zfill(6), {}), repr(str(detections)))
+        for image in labels.data:
+            known = {"K": K} if (K := cameras.part(image).data.get("cam_K")) else {}
+            for number, label in enumerate(labels.parts(image)):
+                object_ = label.integer("obj_id", 0)
+                mask = scene / "mask_visib" / f"{image:0>6}_{number:06d}.png"
                 yield {
                     "id": f"{scene.parent.name}/{scene.name}/{image}/{object_}/{number}",
                     "mesh": str(models / f"obj_{object_:06d}.ply"),
-                    "mask": str(scene / "mask_visib" / f"{stem}_{number:06d}.png"),
-                    **({} if K is None else {"K": K}),
-                    **own,
+                    "mask": str(mask) if detections is None else label.data["segmentation"],
+                    **known,
+                    **({"start": _pose(label)} if start and detections is None else {}),
                 }
 
 
-def _number(scene: Path) -> int:
-    """Return the number of a scene's folder, -1 for another name."""
-    return int(scene.name) if scene.name.isdecimal() else -1
+def _pose(label: Any) -> list[list[float]]:
+    """Return the labelled pose of an object, 4 x 4."""
+    R, t = label.array("cam_R_m2c", (9,)).reshape(3, 3), label.array("cam_t_m2c", (3,))
+    return [*([*row, x] for row, x in zip(R.tolist(), t.tolist(), strict=True)), [0, 0, 0, 1]]
 
 
-def _object_fields(label: dict[str, Any], start: bool) -> tuple[int, dict[str, Any]]:
-    """Return a labelled object's number, and its mask and pose as a record has them."""
-    fields = {"mask": label["segmentation"]} if "segmentation" in label else {}
-    if start and not fields:
-        R, t = label["cam_R_m2c"], label["cam_t_m2c"]
-        rows = [[*R[3 * k : 3 * k + 3], t[k]] for k in range(3)]
-        fields["start"] = [*rows, [0, 0, 0, 1]]
-    return index(label["obj_id"]), fields
+def _detections(path: Path) -> dict[str, dict[str, list[dict[str, Any]]]]:
+    """Return COCO's detections as BOP labels objects: by scene (six digits) and image."""
+    from .._files.fields import Fields
 
-
-def _detections(path: Path, scenes: list[Path]) -> _Labels:
-    """Return COCO's detections as labels."""
-    found: _Labels = {}
-    words = "`detections`: expected objects with `scene_id`, `image_id` and `category_id`"
-    for place, detection in enumerate(_json(path, "detections", list)):
-        with _expecting(f"{words} in number {place} of {str(path)!r}", detection):
-            scene, image, object_ = (
-                index(detection[name]) for name in ("scene_id", "image_id", "category_id")
-            )
-            label = {"obj_id": object_, "segmentation": detection.get("segmentation")}
-        found.setdefault(scene, {}).setdefault(str(image), []).append(label)
-    if found and not found.keys() & {*map(_number, scenes)}:
-        known = brief([scene.name for scene in scenes])
-        words = f"expected `scene_id` among the folders of `path`, {known}"
-        raise ValueError(f"`detections`: {words}, got {brief([*found])} in {str(path)!r}")
+    found: dict[str, Any] = {}
+    data = {"detections": read_json(path, "detections", MOST_BYTES)}
+    for one in Fields(data, repr(str(path))).parts("detections"):
+        scene, image, number = (
+            one.integer(name, 0) for name in ("scene_id", "image_id", "category_id")
+        )
+        label = {"obj_id": number, "segmentation": one.data.get("segmentation")}
+        found.setdefault(f"{scene:06d}", {}).setdefault(str(image), []).append(label)
     return found
-
-
-def _json(path: Path, field: str, kind: Any) -> Any:
-    """Return the data of a JSON file, of the expected type."""
-    try:
-        data = json.loads(path.read_bytes())
-    except FileNotFoundError:
-        raise FileNotFoundError(f"`{field}`: expected a file, got {str(path)!r}: none") from None
-    except (OSError, ValueError, RecursionError) as error:
-        raise ValueError(f"`{field}`: expected JSON, got {str(path)!r}: {error}") from None
-    if not isinstance(data, kind):
-        words = f"expected a JSON {'list' if kind is list else 'object'} in {str(path)!r}"
-        raise ValueError(f"`{field}`: {words}, got {brief(data)}")
-    return data
-
-
-@contextlib.contextmanager
-def _expecting(words: str, value: Any) -> Iterator[None]:
-    """Raise ValueError with these words where a value has not what its reader takes from it."""
-    try:
-        yield
-    except (AttributeError, LookupError, TypeError, ValueError):
-        raise ValueError(f"{words}, got {brief(value)}") from None
 
 
 def _table_records(path: Path) -> Iterator[Record]:

@@ -6,7 +6,7 @@ import os
 import secrets
 import time
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -86,9 +86,9 @@ class Results:
         if self.folder.exists() and not self.folder.is_dir():
             raise ValueError(f"`out`: expected a folder, got {str(folder)!r}: a file")
 
-    def ids(self, but: Collection[str] = ()) -> set[str]:
-        """Return the ids of all rows, except those with the statuses `but`."""
-        return {id for id, place in self._places().items() if place.status not in but}
+    def ids(self) -> set[str]:
+        """Return the ids of all rows."""
+        return {*self._places()}
 
     def __len__(self) -> int:
         return len(self._places())
