@@ -1,8 +1,5 @@
 """Which cases of a test every run has."""
 
-from collections.abc import Iterable
-from typing import Any
-
 import jax
 import pytest
 
@@ -10,17 +7,17 @@ import pytest
 on_cpu = pytest.mark.skipif(jax.default_backend() != "cpu", reason="it is about a CPU's programs")
 
 
-def long(*case: Any) -> Any:
+def long(*case):
     """Return a case of a test that runs with the long ones."""
     return pytest.param(*case, marks=pytest.mark.long)
 
 
-def full(*case: Any) -> Any:
+def full(*case):
     """Return a case of a test that runs where all tests do: others take the same way."""
     return pytest.param(*case, marks=pytest.mark.full)
 
 
-def first(number: int, cases: Iterable[Any], of: int = 1) -> list[Any]:
+def first(number, cases, of=1):
     """Return the cases, all but the first few marked long: each is compiled.
 
     Of the long ones only each `of`-th runs with these, the others where all tests do.

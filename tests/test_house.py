@@ -15,7 +15,6 @@ import tokenize
 import tomllib
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator
 from functools import cache
 from itertools import pairwise
 from pathlib import Path, PurePosixPath
@@ -25,10 +24,8 @@ import pytest
 ROOT = Path(__file__).parents[1]
 LEDGER = Path(__file__).with_name("house.toml")
 
-#: Source or prose by path.
-Texts = dict[str, str]
-Function = ast.FunctionDef | ast.AsyncFunctionDef
-Definition = ast.Module | ast.ClassDef | Function
+FUNCTIONS = ast.FunctionDef, ast.AsyncFunctionDef
+DEFINITIONS = ast.Module, ast.ClassDef, *FUNCTIONS
 
 #: A ceiling that is this much above its figure has to be lowered.
 SLACK = 1.02
@@ -62,13 +59,13 @@ NODE = re.compile(r"`(tests/test_\w+\.py)::(test_\w+)`")
 
 
 @cache
-def definitions(text: str) -> list[Definition]:
+def definitions(text):
     """A module, and the classes and functions in it."""
-    return [node for node in ast.walk(ast.parse(text)) if isinstance(node, Definition)]
+    return [node for node in ast.walk(ast.parse(text)) if isinstance(node, DEFINITIONS)]
 
 
 @cache
-def texts() -> Texts:
+def texts():
     """All Python, C++ and Markdown of the project, by path."""
     folders = ("pinhole_jax", "tests", "experiments", "docs")
     paths = [path for name in folders for path in (ROOT / name).rglob("*.*")]
@@ -84,50 +81,50 @@ def texts() -> Texts:
 # The rules: patterns that parts of files may not have.
 
 
-def source(_: str, text: str) -> list[str]:
+def source(_, text):
     """A file's text as it is."""
     return [text]
 
 
-def prose(_: str, text: str) -> list[str]:
+def prose(_, text):
     """A text on one line: comment signs, quotes and line breaks between its words are left out."""
     joined = re.sub(r"['\"]?\s*\n[\s#:>]*(?:[fr]?['\"])?", " ", text.lower())
     return [" ".join(joined.split())]
 
 
-def sentences(_: str, text: str) -> list[str]:
+def sentences(_, text):
     """Those of docstrings; examples and tables are none."""
     docstrings = (ast.get_docstring(node) or "" for node in definitions(text))
     plain = [re.sub(r"```.*?```|^ *\|.*$", "", x, flags=re.S | re.M) for x in docstrings]
     return [x for words in plain for x in re.split(r"(?<=[.:;?!])\s+|\n\s*- |\n\n", words)]
 
 
-def classes(_: str, text: str) -> list[str]:
+def classes(_, text):
     """A file's classes, without leading underscores."""
     nodes = definitions(text)
     return [node.name.lstrip("_") for node in nodes if isinstance(node, ast.ClassDef)]
 
 
-def functions(_: str, text: str) -> list[str]:
+def functions(_, text):
     """The names of a file's functions and methods."""
-    return [node.name for node in definitions(text) if isinstance(node, Function)]
+    return [node.name for node in definitions(text) if isinstance(node, FUNCTIONS)]
 
 
-def stem(path: str, _: str) -> list[str]:
+def stem(path, _):
     """A file's name, without leading underscores; packages have none."""
     name = PurePosixPath(path).stem
     return [] if name.startswith("__") else [name.lstrip("_").title()]
 
 
-def lengths(_: str, text: str) -> list[str]:
+def lengths(_, text):
     """Functions with their numbers of lines, docstrings not counted."""
-    return [f"{x.name}: {line_count(x)}" for x in definitions(text) if isinstance(x, Function)]
+    return [f"{x.name}: {line_count(x)}" for x in definitions(text) if isinstance(x, FUNCTIONS)]
 
 
-def line_count(function: Function) -> int:
+def line_count(function):
     """The number of lines of a function, its docstring not counted."""
     documented = ast.get_docstring(function) is not None
-    parts: list[ast.stmt] = [function, *function.body[:documented]]
+    parts = [function, *function.body[:documented]]
     whole, *docstring = ((x.end_lineno or 0) - x.lineno + 1 for x in parts)
     return whole - sum(docstring)
 
@@ -140,7 +137,7 @@ NO_NOUN = (
 )
 PYTHON, PACKAGE = r".*\.py", r"pinhole_jax/.*\.py"
 #: Files, what of them is read, and what it may not have.
-RULES: list[tuple[str, Callable[[str, str], list[str]], str]] = [
+RULES = [
     # Parts of JAX that it does not promise to keep, and what other packages hide.
     (
         PACKAGE,
@@ -181,7 +178,7 @@ KNOWN_FAULTS = {
 }
 
 
-def faults(files: Texts) -> Iterator[str]:
+def faults(files):
     """What breaks a rule, by file; and names that two files or classes of the package share."""
     for paths, part, pattern in RULES:
         for path, text in files.items():
@@ -197,7 +194,7 @@ def faults(files: Texts) -> Iterator[str]:
 # The size.
 
 
-def token_count(text: str) -> int:
+def token_count(text):
     """The number of names, numbers, strings and operators, docstrings not counted."""
     count, depth, first = 0, 0, True
     for token, following in pairwise(tokenize.generate_tokens(io.StringIO(text).readline)):
@@ -213,14 +210,14 @@ def token_count(text: str) -> int:
     return count
 
 
-def cpp_token_count(text: str) -> int:
+def cpp_token_count(text):
     """The number of C++'s tokens, comments not counted."""
     return sum(match["comment"] is None for match in CPP_TOKENS.finditer(text))
 
 
-def tokens(files: Texts) -> Counter[str]:
+def tokens(files):
     """Tokens of each folder, those of C++ by themselves."""
-    counts = Counter[str]()
+    counts = Counter()
     for name, text in files.items():
         path = PurePosixPath(name)
         if path.suffix == ".py":
@@ -233,12 +230,12 @@ def tokens(files: Texts) -> Counter[str]:
 # The ledger.
 
 
-def ceilings() -> Counter[str]:
+def ceilings():
     """Those that the ledger has."""
     return Counter(tomllib.loads(LEDGER.read_text(encoding="utf-8"))["tokens"])
 
 
-def complaints(figures: Counter[str], ceilings: Counter[str]) -> list[str]:
+def complaints(figures, ceilings):
     """Folders above their ceilings, and ceilings that are too high."""
     above = [
         f"{name}: {figures[name]}, the ceiling is {ceilings[name]}. Take it back; or raise the"
@@ -255,7 +252,7 @@ def complaints(figures: Counter[str], ceilings: Counter[str]) -> list[str]:
     return above + loose
 
 
-def updated(figures: Counter[str], ceilings: Counter[str], grow: bool = False) -> Counter[str]:
+def updated(figures, ceilings, grow=False):
     """New ceilings: lower ones where the old are too high, higher ones only with `grow`."""
     new = Counter(ceilings)
     for name in {*figures, *ceilings}:
@@ -265,14 +262,14 @@ def updated(figures: Counter[str], ceilings: Counter[str], grow: bool = False) -
     return +new
 
 
-def as_toml(ceilings: Counter[str]) -> str:
+def as_toml(ceilings):
     """The text of `house.toml`."""
     lines = [f'"{name}" = {ceiling}' for name, ceiling in sorted(ceilings.items())]
     told = "# Written by `python tests/test_house.py --update`; the ceilings only fall."
     return "\n".join([told, "", "[tokens]", *lines, ""])
 
 
-def main(arguments: list[str]) -> None:
+def main(arguments):
     """Rewrite the ledger, and print the lines that changed."""
     if "--update" not in arguments or set(arguments) - {"--update", "--grow"}:
         sys.exit(__doc__)
