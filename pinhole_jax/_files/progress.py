@@ -112,7 +112,7 @@ class Ticker:
         return _compiled()[0] - self._before[0]
 
     def compiled_words(self) -> str:
-        """Return that part and the number of programs, as text; "" if it is little."""
+        """The time spent compiling and the number of programs, as text; "" if it is little."""
         seconds, programs = self.compiling(), _compiled()[1] - self._before[1]
         if seconds < SHORT or not programs:
             return ""
