@@ -2,7 +2,7 @@
 
 import argparse
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 from .. import (
     Camera,
@@ -28,13 +28,9 @@ from .outputs import check_outputs, written_words
 UNTOLD = 3
 
 
-class CheckData(NamedTuple):
-    """What masks show: how to fit a camera to all of the `data`, or to a half of them, from a
-    camera; and how to halve them, once a fit to all is there."""
-
-    data: Any
-    fitted: Callable[[Any, Camera], Fit | JointFit]
-    halved: Callable[[Any], tuple[Any, Any]]
+#: What masks show: the data; how to fit a camera to all or a half of them, from a camera; and how
+#: to halve them, once a fit to all is there.
+CheckData = tuple[Any, Callable[[Any, Camera], Fit | JointFit], Callable[[Any], tuple[Any, Any]]]
 
 
 def run(options: argparse.Namespace, progress: Ticker) -> int:
@@ -46,8 +42,8 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
     reference = _reference(options.camera)
     before = reference.camera if isinstance(reference, Fit) else reference
     is_robot = options.mesh.lower().endswith(".urdf")
-    subject = (_robot if is_robot else _mesh)(options, progress)
-    whole = subject.fitted(subject.data, before)
+    data, fitted, halved = (_robot if is_robot else _mesh)(options, progress)
+    whole = fitted(data, before)
     fit = whole if isinstance(whole, Fit) else whole.cameras["camera"]
     fit = fit._replace(status=whole.status)
     if fit.status == "non_finite":
@@ -56,8 +52,7 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
         return UNTOLD
     if options.split:
         progress.say("fitting each half")
-        refit = lambda half: subject.fitted(half, fit.camera)
-        finding = split_check(refit, subject.halved(whole))
+        finding = split_check(lambda half: fitted(half, fit.camera), halved(whole))
         is_told, is_fine = finding.is_conclusive, finding.agrees
     else:
         finding = drift(fit, reference)
@@ -92,7 +87,7 @@ def _mesh(options: argparse.Namespace, progress: Ticker) -> CheckData:
     scene = read_scene(options.mesh, progress.tell)
     progress.say("fitting (the first time compiles, some seconds)")
     fitted = lambda weight, start: fit_camera(scene, mask, start, options.free, weight=weight)
-    return CheckData(None, fitted, lambda fit: outline_halves(mask, fit.mask_error))
+    return None, fitted, lambda fit: outline_halves(mask, fit.mask_error)
 
 
 def _robot(options: argparse.Namespace, progress: Ticker) -> CheckData:
@@ -104,4 +99,4 @@ def _robot(options: argparse.Namespace, progress: Ticker) -> CheckData:
         raise ValueError("`split`: expected at least two views of a robot, got one")
     progress.say(f"fitting {len(views)} views (the first time compiles, some seconds)")
     fitted = lambda views, start: fit_joint(views, start, options.free)
-    return CheckData(views, fitted, lambda _: (views[::2], views[1::2]))
+    return views, fitted, lambda _: (views[::2], views[1::2])

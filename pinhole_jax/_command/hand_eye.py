@@ -55,7 +55,6 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
     if halves is not None:
         print(f"halves     {halves}")
     if helpful is not None:
-        print(f"recorded   {_most_worth(fit)}")
         print(f"proposed   {helpful}")
     _write(options, fit, masks, pictures, halves, helpful)
     return 0 if fit.status == "converged" else 1
@@ -117,14 +116,6 @@ def _proposed_views(robot: Robot, options: argparse.Namespace) -> list[JointView
     with named(path="propose"):
         postures = joint_angles(options.propose, robot)
     return [_view(robot, angles, options, "propose") for angles in postures]
-
-
-def _most_worth(fit: JointFit) -> str:
-    """Return a sentence on the view that matters most."""
-    worth, best = max((view.worth, -number) for number, view in enumerate(fit.views))
-    if not np.isfinite(worth):
-        return f"without view {-best} the masks would not determine the pose"
-    return f"without view {-best} standard errors of the pose would be {worth:.2f} times as large"
 
 
 def _start(
