@@ -122,10 +122,7 @@ def join(problem: JointProblem, state: State, moved: list[tuple[LonePose, State]
         poses[pose.name] = there.poses[pose.name]
         lenses |= {name: there.lenses[name] for name in pose.problem.cameras}
         scales |= {name: there.scales[name] for name in pose.problem.named(SCALE)}
-    for unknown in problem.unknowns:
-        if len(unknown.cameras) > 1:
-            lenses = share_means(lenses, {unknown.kind: [unknown.cameras]})
-    return State(poses, lenses, scales, state.zeros)
+    return State(poses, share_means(lenses, problem.unknowns), scales, state.zeros)
 
 
 def _squares_alike(problem: JointProblem, path: Path) -> float:

@@ -23,7 +23,6 @@ from .._solver.parameters import (
     PARAMETERS,
     as_names,
     check_free,
-    components,
     in_one,
     with_lens,
 )
@@ -71,12 +70,11 @@ def joint_problem(
     poses, places = _poses("objects", objects), _poses("rig", rig)
     _check_names(views, cameras, poses, places)
 
-    freed, groups, cameras = with_shared(cameras, free, shared)
-    owners = owners_of(cameras, freed, groups)
-    limits = bounds_by_name(bounds, cameras, freed, owners)
+    scales = scales_of(prior, views)
     moving = {name: RIG if name in places else name for name in cameras}
-    start = State(poses, {n: canonical(c) for n, c in cameras.items()}, scales_of(prior, views), {})
-    unknowns = unknowns_of(freed, owners, moving, start)
+    others = [*((name, POSE) for name in poses), *((name, SCALE) for name in scales)]
+    cameras, unknowns = with_unknowns(cameras, free, shared, [*moving.values()], others)
+    limits = bounds_by_name(bounds, cameras, unknowns)
 
     cells = LEAST_CELLS if len(views) < MANY_VIEWS else FEW_CELLS
     options = {"continued": outlier_px is not None, "cells": cells}
@@ -88,15 +86,15 @@ def joint_problem(
         name, mask = view.camera, _checked_mask(k, view, cameras, search, as_given)
         known = ((f"views[{k}].{x}", getattr(view, x)) for x in ("mount", "placed"))
         mount, placed = (_pose(*pose) for pose in known)
-        own = subjects[id(view.scene)], mask, (POSE, *owners[name]), max_steps, limits[name]
-        solver, rig = Solver.on(*own, **options), places.get(name, np.eye(4))
-        eyes.append(Eye(view, mask, solver, owners[name], moving[name], mount, placed, rig))
-    for eye in eyes:
-        poses.setdefault(eye.moving, pose_of(eye.mask.camera) @ inverse(eye.rig))
+        owners, place = owners_of(name, unknowns), places.get(name, np.eye(4))
+        own = subjects[id(view.scene)], mask, (POSE, *owners), max_steps, limits[name]
+        solver = Solver.on(*own, **options)
+        eyes.append(Eye(view, mask, solver, owners, moving[name], mount, placed, place))
+        poses.setdefault(moving[name], pose_of(cameras[name]) @ inverse(place))
     problem = JointProblem(
         unknowns=unknowns,
         eyes=eyes,
-        start=start,
+        start=State(poses, {n: canonical(c) for n, c in cameras.items()}, scales, {}),
         cameras=cameras,
         outlier_px=outlier_px,
         max_steps=max_steps,
@@ -107,19 +105,36 @@ def joint_problem(
     return replace(problem, priors=priors_of(prior, problem))
 
 
-def with_shared(
-    cameras: Mapping[str, Camera], free: Any, shared: Any
-) -> tuple[tuple[str, ...], dict[str, list[tuple[str, ...]]], dict[str, Camera]]:
-    """All free parameters, in a fixed order; groups of cameras that have a parameter in
-    common; and the cameras, alike in these, with a lens that has what is free.
+def with_unknowns(
+    cameras: Mapping[str, Camera],
+    free: Any,
+    shared: Any,
+    moving: Sequence[str],
+    others: Sequence[tuple[str, str]] = (),
+) -> tuple[dict[str, Camera], list[Unknown]]:
+    """The cameras, alike in what they share, with a lens that has what is free; and all unknowns:
+    poses that cameras go with (`moving`), others by name and kind, then parameters of lenses.
 
-    Raises ValueError for names of no parameter, or of one that cannot be shared.
+    Raises ValueError for names of no parameter, of one that cannot be shared, and for none.
     """
     groups = _groups_of(shared, cameras)
     names = (*groups, *as_names(free))
     freed = in_one(check_free(names, next(iter(cameras.values())))) if names else ()
-    having = {name: with_lens(camera, freed) for name, camera in cameras.items()}
-    return freed, groups, share_means(having, groups)
+    poses = ((name, kind) for name in dict.fromkeys(moving) for kind in freed if kind in MOTIONS)
+    unknowns = [Unknown(*key) for key in (*poses, *others)]
+    # (A view's columns are then in the order of its solver's moves.)
+    for row in (name for name in freed if name not in MOTIONS):
+        together = groups.get(row, [])
+        alone = [(name,) for name in cameras if not any(name in group for group in together)]
+        unknowns += [Unknown(group[0], row, group) for group in (*together, *alone)]
+    if not unknowns:
+        raise ValueError("`free`: expected something to fit, got none")
+    return share_means({n: with_lens(c, freed) for n, c in cameras.items()}, unknowns), unknowns
+
+
+def owners_of(camera: str, unknowns: Sequence[Unknown]) -> dict[str, str]:
+    """The first camera that has each free parameter of a camera's lens in common with it."""
+    return {u.kind: u.name for u in unknowns if camera in u.cameras}
 
 
 def _groups_of(shared: Any, cameras: Mapping[str, Camera]) -> dict[str, list[tuple[str, ...]]]:
@@ -131,7 +146,7 @@ def _groups_of(shared: Any, cameras: Mapping[str, Camera]) -> dict[str, list[tup
         shared = {name: [tuple(cameras)] for name in as_names(shared, "shared")}
     first, result = next(iter(cameras.values())), {}
     for name, given in shared.items():
-        groups = [(group,) if isinstance(group, str) else tuple(group) for group in given]
+        groups = [(group,) if isinstance(group, str) else (*group,) for group in given if group]
         named = [n for group in groups for n in group]
         for row in check_free((name,), first):
             if row not in SHARED:
@@ -147,14 +162,14 @@ def _groups_of(shared: Any, cameras: Mapping[str, Camera]) -> dict[str, list[tup
 
 
 def share_means(
-    cameras: Mapping[str, Camera], groups: Mapping[str, list[tuple[str, ...]]]
+    cameras: Mapping[str, Camera], unknowns: Sequence[Unknown]
 ) -> dict[str, Camera]:
-    """The cameras with the mean of each group's shared parameters.
+    """The cameras with the mean of each parameter that they share.
 
     Raises ValueError for coefficients of different distortions.
     """
     result = dict(cameras)
-    for row, group in ((row, group) for row, members in groups.items() for group in members):
+    for _, row, group in (u for u in unknowns if len(u.cameras) > 1):
         some = [result[name] for name in group]
         kinds = {type(camera.distortion).__name__ for camera in some}
         if len(kinds) > 1 and row in COEFFICIENTS:
@@ -165,43 +180,6 @@ def share_means(
             for name in group:
                 to = result[name].e.dtype
                 result[name] = eqx.tree_at(leaf.of, result[name], jnp.asarray(mean, to))
-    return result
-
-
-def owners_of(
-    cameras: Mapping[str, Camera],
-    freed: tuple[str, ...],
-    groups: Mapping[str, list[tuple[str, ...]]],
-) -> dict[str, dict[str, str]]:
-    """The first camera that has each free parameter of a camera's lens in common with it."""
-    first = lambda name, row: next((g[0] for g in groups.get(row, ()) if name in g), name)
-    lens = [row for row in freed if row not in MOTIONS]
-    return {name: {row: first(name, row) for row in lens} for name in cameras}
-
-
-def unknowns_of(
-    freed: tuple[str, ...],
-    owners: Mapping[str, Mapping[str, str]],
-    moving: Mapping[str, str],
-    start: State,
-) -> list[Unknown]:
-    """The unknowns of cameras, which go with the poses `moving`, of objects and of scales.
-
-    Raises ValueError for none.
-    """
-    motions = [kind for kind in freed if kind in MOTIONS]
-    found = [(name, kind) for name in dict.fromkeys(moving.values()) for kind in motions]
-    found += [(name, POSE) for name in start.poses] + [(name, SCALE) for name in start.scales]
-    size = lambda kind: 1 if kind == SCALE else len(components((kind,)))
-    result = [Unknown(*key, size(key[1])) for key in found]
-    # (A view's columns are then in the order of its solver's moves.)
-    for row in (name for name in freed if name not in MOTIONS):
-        having: dict[str, list[str]] = {}
-        for name, owner_of in owners.items():
-            having.setdefault(owner_of[row], []).append(name)
-        result += [Unknown(name, row, size(row), tuple(x)) for name, x in having.items()]
-    if not result:
-        raise ValueError("`free`: expected something to fit, got none")
     return result
 
 

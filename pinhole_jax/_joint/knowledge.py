@@ -11,9 +11,10 @@ import numpy as np
 
 from .._camera.camera import Camera
 from .._solver.moves import Bounds
+from .._solver.parameters import PARAMETERS
 from .._solver.priors import bounds_of, check_positive, pairs
 from .system import JointPrior, JointProblem, Part
-from .views import SCALE, ZERO, JointView
+from .views import SCALE, ZERO, JointView, Unknown
 
 
 def priors_of(prior: Any, problem: JointProblem) -> list[JointPrior]:
@@ -90,20 +91,17 @@ def zeros_of(given: Any, views: Sequence[JointView]) -> list[JointPrior]:
 
 
 def bounds_by_name(
-    bounds: Any,
-    cameras: Mapping[str, Camera],
-    freed: tuple[str, ...],
-    owners: Mapping[str, Mapping[str, str]],
+    bounds: Any, cameras: Mapping[str, Camera], unknowns: Sequence[Unknown]
 ) -> dict[str, Bounds | None]:
     """Bounds of each camera's parameters. Raises ValueError for what is no bound of these, or not
     the same for cameras that share a parameter."""
     given = by_name("bounds", bounds, cameras)
+    freed = tuple(dict.fromkeys(u.kind for u in unknowns if u.kind in PARAMETERS))
     result = {n: bounds_of(given.get(n), camera, freed) for n, camera in cameras.items()}
-
-    for name, owner_of in owners.items():
-        for row, owner in owner_of.items():
-            ends = [[*map(float, (given.get(n) or {}).get(row, ()))] for n in (name, owner)]
-            if ends[0] != ends[1]:
+    for owner, row, group in unknowns:
+        for name in group:
+            ends = ((given.get(n) or {}).get(row, ()) for n in (name, owner))
+            if not np.array_equal(*ends):
                 words = f"expected the same of {row} for {owner} and {name}, which share it"
                 raise ValueError(f"`bounds`: {words}")
     return result

@@ -263,7 +263,7 @@ class JointProblem:
 
     def with_zeros(self) -> "JointProblem":
         """The problem in which the zeros of joints are sought, too."""
-        unknowns = [*self.unknowns, *(Unknown(prior.part.name, ZERO, 1) for prior in self.zeros)]
+        unknowns = [*self.unknowns, *(Unknown(prior.part.name, ZERO) for prior in self.zeros)]
         return replace(self, unknowns=unknowns, priors=[*self.priors, *self.zeros])
 
     def only(self, numbers: Sequence[int], unknowns: list[Unknown]) -> "JointProblem":
@@ -378,7 +378,7 @@ class JointProblem:
         """The state after a step: twists of poses, moves of lenses, logarithms of scales."""
         poses, lenses = dict(state.poses), dict(state.lenses)
         scales, zeros = dict(state.scales), dict(state.zeros)
-        for name, kind, _, cameras in self.unknowns:
+        for name, kind, cameras in self.unknowns:
             part = x[self._places[name, kind]]
             if kind in MOTIONS:
                 twist = np.zeros(TWIST)

@@ -94,8 +94,12 @@ class Unknown(NamedTuple):
 
     name: str
     kind: str
-    size: int
     cameras: tuple[str, ...] = ()
+
+    @property
+    def size(self) -> int:
+        """How many numbers it has."""
+        return len(components((self.kind,))) if self.kind in PARAMETERS else 1
 
 
 class Standpoint(NamedTuple):

@@ -22,7 +22,7 @@ from .._fit.result import (
     with_modes,
     without_ended,
 )
-from .._joint.door import owners_of, unknowns_of, with_shared
+from .._joint.door import owners_of, with_unknowns
 from .._joint.knowledge import bounds_by_name, priors_of
 from .._joint.views import JointView, State
 from .._numerics.arrays import ArrayLike, Input, checked, is_concrete
@@ -226,22 +226,18 @@ def _problem(
 
     Raises ValueError for names, priors and bounds of none.
     """
-    freed, groups, cameras = with_shared(cameras, free, shared)
-    owners = owners_of(cameras, freed, groups)
-    limits = bounds_by_name(bounds, cameras, freed, owners)
-    lenses = {name: canonical(film) for name, film in cameras.items()}
-    start = State({}, lenses, {}, {})
-    unknowns = unknowns_of(freed, owners, {name: name for name in cameras}, start)
-    eyes, still = [], np.eye(4)
+    cameras, unknowns = with_unknowns(cameras, free, shared, [*cameras])
+    limits, eyes, still = bounds_by_name(bounds, cameras, unknowns), [], np.eye(4)
+    freed = tuple(dict.fromkeys(unknown.kind for unknown in unknowns))
     for (name, film), points, seen_at, weight in zip(cameras.items(), *given, strict=True):
         arrays = PointArrays(points, seen_at, weight / scale)
         matches = Matches.on(film, arrays, freed, limits[name])
-        known = owners[name], name, still, still, still
+        known = owners_of(name, unknowns), name, still, still, still
         eyes.append(PointEye(JointView(Scene(), None, name), None, matches, *known))
     problem = PointProblem(
         unknowns=unknowns,
         eyes=eyes,
-        start=start,
+        start=State({}, {name: canonical(film) for name, film in cameras.items()}, {}, {}),
         cameras=cameras,
         outlier_px=None,
         max_steps=max_steps,
