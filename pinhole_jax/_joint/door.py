@@ -161,9 +161,7 @@ def _groups_of(shared: Any, cameras: Mapping[str, Camera]) -> dict[str, list[tup
     return result
 
 
-def share_means(
-    cameras: Mapping[str, Camera], unknowns: Sequence[Unknown]
-) -> dict[str, Camera]:
+def share_means(cameras: Mapping[str, Camera], unknowns: Sequence[Unknown]) -> dict[str, Camera]:
     """The cameras with the mean of each parameter that they share.
 
     Raises ValueError for coefficients of different distortions.

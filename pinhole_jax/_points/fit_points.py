@@ -120,9 +120,8 @@ def fit_points(
     - `points2d`: (N, 2), or (V, N, 2) for V views: film coordinates (px, origin at the film's
       bottom-left corner, y up; of OpenCV's (u, v) they are (u + 1/2, H - v - 1/2)). NaN: not seen.
     - `camera`: resolution and start, one for all views or one for each. The start's pose is used
-      only if it is better than direct solutions: a homography (4 points of a plane), a direct
-      linear transformation (6 points), or three of few points. Among equals the nearest to it comes
-      first. Its focal length may be off by some tens of percent.
+      only if it is better than direct solutions by three points each. Among equals the nearest to
+      it comes first. Its focal length may be off by some tens of percent.
     - `free`: parameters of each view; `shared`: parameters that all views share. Names are those of
       `fit_camera`. None: with several views phi, principal_point and distortion, else nothing.
     - `weights`: (N,) or (V, N), 0 or more: 1 / variance of each point, up to a factor.

@@ -1,15 +1,13 @@
-"""A camera's pose from points, directly: no start, no iteration, least squares of equations.
+"""A camera's pose from points, directly: no start, no iteration.
 
 Cameras are canonical, and where points are seen is in film heights.
 
-Sources: R. Hartley and A. Zisserman, "Multiple View Geometry" (2004), 4.1 and 7.1; for points of a
-plane Z. Zhang, "A Flexible New Technique for Camera Calibration" (2000), 3.1; for three points
-R. Haralick et al., "Review and Analysis of Solutions of the Three Point Perspective Pose Estimation
-Problem" (1994): Grunert's equations and his quartic, of 1841.
+Source of poses of three points: R. Haralick et al., "Review and Analysis of Solutions of the Three
+Point Perspective Pose Estimation Problem" (1994): Grunert's equations and his quartic, of 1841.
 """
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 from jaxtyping import Float
@@ -21,9 +19,8 @@ from .._camera.rays import rays_through
 
 #: Three points are of a line where the sine of a corner of theirs is below this.
 THIN = 1e-6
-#: Distances that differ by a smaller share are the same, and ones that leave a side off by a larger
-#: share of the longest are none.
-SAME, OFF = 1e-6, 0.1
+#: Distances that leave a squared side off by a larger share of the longest are none.
+OFF = 0.1
 #: The ends of the side opposite to each point; its squared length and its angle's cosine have the
 #: point's number.
 NEXT, LAST = [1, 2, 0], [2, 0, 1]
@@ -35,46 +32,14 @@ Points = Float[np.ndarray, "N 3"]
 SeenAt = Float[np.ndarray, "N 2"]
 
 
-def resect(camera: Camera, points: Points, seen_at: SeenAt) -> Camera | None:
-    """The camera posed so that it sees points (world) where they are seen, or None.
-
-    None where there are too few points (4 of a plane, else 6), or where they are degenerate.
-    """
-    middle, spread, axes = _spread(points)
-    flat = spread[-1] <= FLAT * spread[0]
-    if len(points) < (4 if flat else 6) or not spread[1] > FLAT * spread[0]:
-        return None
-    # In the points' own axes, scaled: so the equations are well conditioned.
-    axes = axes * np.sign(np.linalg.det(axes))
-    scale = np.sqrt(np.mean(np.sum((points - middle) ** 2, axis=1)))
-    known = np.column_stack([(points - middle) @ axes.T / scale, np.ones(len(points))])
-    known = np.delete(known, 2, axis=1) if flat else known
-    # A point is on its ray: two rows of a cross product are zero.
-    x, y, z = _rays(camera, seen_at).T
-    across = np.array([[z, 0 * z, -x], [0 * z, z, -y]]) / z
-    rows = np.einsum("ijn,nk->injk", across, known).reshape(2 * len(points), -1)
-    matrix = np.linalg.svd(rows)[2][-1].reshape(3, -1)
-    matrix = -matrix if matrix[2, -1] < 0 else matrix
-    shift, turn = matrix[:, -1], matrix[:, :-1]
-    size = np.mean(np.linalg.norm(turn, axis=0))
-    if not size > 0:
-        return None
-    if flat:
-        turn = np.column_stack([turn / size, np.cross(turn[:, 0], turn[:, 1]) / size**2])
-    left, _, right = np.linalg.svd(turn)
-    if np.linalg.det(left @ right) < 0:
-        return None
-    rotation = (left @ right) @ axes
-    return _posed(camera, rotation, shift * (scale / size) - rotation @ middle)
-
-
-def resect_three(camera: Camera, points: Points, seen_at: SeenAt, most: int) -> list[Camera]:
-    """The camera in all poses that see three of the points where they are seen, of this many
-    triangles at most: the only pose, or up to four, of each."""
+def resect(
+    camera: Camera, points: Points, seen_at: SeenAt, threes: Iterable[np.ndarray]
+) -> list[Camera]:
+    """The camera in all poses that see three of the points where they are seen: the only pose, or
+    up to four, of each of the `threes` of indices."""
     rays = _rays(camera, seen_at)
-    threes = triangles(points, rays, most)
-    poses = [pose for three in threes for pose in poses_of_three(points[three], rays[three])]
-    return [_posed(camera, *pose) for pose in poses]
+    poses = (poses_of_three(points[three], rays[three]) for three in threes)
+    return [_posed(camera, *pose) for some in poses for pose in some]
 
 
 def poses_of_three(points: Float[np.ndarray, "3 3"], rays: Float[np.ndarray, "3 3"]) -> list[Pose]:
@@ -83,7 +48,6 @@ def poses_of_three(points: Float[np.ndarray, "3 3"], rays: Float[np.ndarray, "3 
 
     Where noise leaves no exact pose, two that nearly meet are replaced by what lies between them.
     """
-    from scipy.optimize import root
     from scipy.spatial.transform import Rotation
 
     a, b = points[1:] - points[0]
@@ -91,18 +55,11 @@ def poses_of_three(points: Float[np.ndarray, "3 3"], rays: Float[np.ndarray, "3 
     if thin or not np.all(np.isfinite(rays)):
         return []
     sides = np.sum((points[NEXT] - points[LAST]) ** 2, axis=1)
-    cosines = np.sum(rays[NEXT] * rays[LAST], axis=1)
-
-    def off(depths: np.ndarray) -> np.ndarray:
-        near, far = depths[NEXT], depths[LAST]
-        return near * near + far * far - 2 * near * far * cosines - sides
-
-    found, poses = np.zeros((0, 3)), []
-    for begin in _depths(sides, cosines):
-        depths = root(off, begin, method="lm").x
-        is_known = np.any(np.all(np.isclose(found, depths, rtol=SAME), axis=1))
-        if np.all(depths > 0) and np.max(np.abs(off(depths))) < OFF * sides.max() and not is_known:
-            found, there = np.vstack([found, depths]), depths[:, None] * rays
+    poses = []
+    for depths in _depths(sides, np.sum(rays[NEXT] * rays[LAST], axis=1)):
+        there = depths[:, None] * rays
+        off = np.sum((there[NEXT] - there[LAST]) ** 2, axis=1) - sides
+        if np.all(depths > 0) and np.max(np.abs(off)) < OFF * sides.max():
             middles = points.mean(axis=0), there.mean(axis=0)
             turn = Rotation.align_vectors(there - middles[1], points - middles[0])[0].as_matrix()
             poses.append((turn, middles[1] - turn @ middles[0]))
@@ -110,7 +67,7 @@ def poses_of_three(points: Float[np.ndarray, "3 3"], rays: Float[np.ndarray, "3 
 
 
 def _depths(sides: np.ndarray, cosines: np.ndarray) -> Iterator[np.ndarray]:
-    """Distances (3,) from the eye, not yet polished, by the real parts of the roots of Grunert's
+    """Distances (3,) from the eye by the real parts of the roots of Grunert's
     quartic: the ratios of the third distance to the first."""
     (a, b, c), (x, y, z) = sides, cosines
     p = (a - c) / b
@@ -126,13 +83,11 @@ def _depths(sides: np.ndarray, cosines: np.ndarray) -> Iterator[np.ndarray]:
             yield np.sqrt(first) * np.array([1, u, v])
 
 
-def triangles(
-    points: Float[np.ndarray, "N 3"], rays: Float[np.ndarray, "N 3"], most: int
-) -> np.ndarray:
+def triangles(camera: Camera, points: Points, seen_at: SeenAt, most: int) -> np.ndarray:
     """The indices (T, 3) of this many triangles at most, those that are largest in the world
     and where they are seen first."""
-    threes = np.array([*itertools.combinations(range(len(points)), 3)])
-    edges = [x[threes[:, 1:]] - x[threes[:, :1]] for x in (points, rays)]
+    threes = np.array([*itertools.combinations(range(len(points)), 3)]).reshape(-1, 3)
+    edges = [x[threes[:, 1:]] - x[threes[:, :1]] for x in (points, _rays(camera, seen_at))]
     sizes = np.prod([np.linalg.det(x @ x.transpose(0, 2, 1)) for x in edges], axis=0)
     order = np.argsort(-np.round(np.log(np.maximum(sizes, 1e-300)), 9), kind="stable")
     return threes[order[:most]]
@@ -160,15 +115,9 @@ def shift(camera: Camera, points: Points, seen_at: SeenAt) -> Camera:
 
 def plane_of(points: Points) -> tuple[np.ndarray, np.ndarray] | None:
     """The middle and the normal of the plane that points are of, None if of none."""
-    middle, spread, axes = _spread(points)
-    return (middle, axes[-1]) if spread[-1] <= FLAT * spread[0] < spread[1] else None
-
-
-def _spread(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The middle of points, how far they spread along three axes, and these (rows)."""
     middle = points.mean(axis=0)
-    _, spread, axes = np.linalg.svd(points - middle, full_matrices=True)
-    return middle, np.pad(spread, (0, 3 - len(spread))), axes
+    spread, axes = np.linalg.svd(points - middle)[1:]
+    return (middle, axes[-1]) if spread[2:].sum() <= FLAT * spread[0] < spread[1] else None
 
 
 def _rays(camera: Camera, seen_at: np.ndarray) -> np.ndarray:

@@ -15,15 +15,12 @@ from .._solver.problem import FINE_PX
 from .._solver.uncertainty import BLIND
 from .noise import Noise, exact_squares
 from .reprojection import Matches, PointProblem
-from .resection import plane_of, resect, resect_three, shift, turn
+from .resection import plane_of, resect, shift, triangles, turn
 
-#: Draws of few points. Where 40 % are outliers 1 draw of 6 points in 21 has none, so 95 % of
-#: searches meet one; with draws of 4, or fewer outliers, all do.
+#: Draws of three points. Where 40 % are outliers 14 of them have none.
 DRAWS = 64
-#: Points of a draw that are not of a plane, and that are.
-FEW, FEW_OF_PLANE = 6, 4
-#: Up to this many points are few: direct solutions by all of them may fail, and solutions by three
-#: are added, from this many triangles at most.
+#: Up to this many points are few: several poses may explain them; and by this many, spread evenly
+#: among many, there are direct solutions, from this many triangles at most.
 SCANT, TRIANGLES = 8, 6
 #: What finds a part of the pose, the rest being known.
 PARTS = {"position": shift, "orientation": turn}
@@ -47,24 +44,18 @@ def begin(matches: Matches, start: Camera, robust: bool) -> Camera:
 
 
 def _direct(matches: Matches, start: Camera, robust: bool) -> list[Camera]:
-    """Cameras that direct solutions find, of all points, and of few drawn at random."""
+    """Cameras that direct solutions find, of large triangles, and of some drawn at random."""
     points, seen_at = matches.in_heights(matches.counts)
     by_part = [way for name, way in PARTS.items() if name in matches.freed]
     if by_part or POSE not in matches.freed:
         return [way(start, points, seen_at) for way in by_part]
-    draws = [np.arange(len(points))]
-    if robust:
-        few = FEW if plane_of(points) is None else FEW_OF_PLANE
-        random = np.random.default_rng(0)
-        draws += [random.permutation(len(points))[:few] for _ in range(DRAWS)]
-    found = [resect(start, points[some], seen_at[some]) for some in draws]
-    if is_few(matches):
-        found += three_point_cameras(matches, start)
-    return [camera for camera in found if camera is not None]
+    random, count = np.random.default_rng(0), len(points)
+    draws = [random.permutation(count)[:3] for _ in range(DRAWS)] if robust else []
+    return three_point_cameras(matches, start) + resect(start, points, seen_at, draws)
 
 
 def is_few(matches: Matches) -> bool:
-    """Whether few different points count, so that poses of three of them are starts, too."""
+    """Whether few different points count, so that several poses may explain them."""
     return len(matches.different()) <= SCANT
 
 
@@ -73,7 +64,8 @@ def three_point_cameras(matches: Matches, camera: Camera) -> list[Camera]:
     points, some that are spread evenly among them."""
     counts = matches.different()
     some = counts[np.unique(np.linspace(0, len(counts) - 1, SCANT).round().astype(int))]
-    return resect_three(camera, *matches.in_heights(some), TRIANGLES) if len(some) > 2 else []
+    given = camera, *matches.in_heights(some)
+    return resect(*given, triangles(*given, TRIANGLES))
 
 
 def reversed_depths(matches: Matches, camera: Camera) -> Camera | None:
