@@ -15,11 +15,12 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from jaxtyping import Float
 
-from ._camera.poses import inverse, pose_of, skew
+from ._camera.poses import Pose, adjoint, inverse, moved, pose_of, skew
 from ._fit.drift import POSE, squared_sigmas
 from ._fit.result import CameraResult, MaskError, Result
 from ._fit.words import UNIT
 from ._joint.joint_fit import JointFit, ObjectFit
+from ._joint.views import TO_B
 from ._mask.target import check_target, inside_of
 from ._numerics.arrays import ArrayLike, Input
 from ._solver.heading import carried
@@ -219,23 +220,21 @@ def _rivals(fit: AnyFit) -> Sequence[AnyFit]:
 
 def _compared(first: AnyFit, second: AnyFit) -> SplitCheck:
     """The disagreement of two fits."""
+    from scipy.stats import chi2
+
     a, b = _answers(first), _answers(second)
     parts = tuple(_part(name, a[name], b[name]) for name in a if name in b)
     known = [squared_sigmas(part.difference, part.covariance) for part in parts]
-    total, count = (float(sum(column)) for column in zip(*known, strict=True))
-    if not count:
-        return SplitCheck(float("nan"), float("nan"), 0, parts, (first, second))
-    from scipy.stats import chi2
-
-    chance = float(chi2.sf(total, count))
-    return SplitCheck((total / count) ** 0.5, chance, int(count), parts, (first, second))
+    total, count = (sum(column) for column in zip(*known, strict=True))
+    rms = (total / count) ** 0.5 if count else float("nan")
+    return SplitCheck(rms, float(chi2.sf(total, count)), count, parts, (first, second))
 
 
 class _HalfAnswer(NamedTuple):
     """A half's answer: the pose (4, 4) that a viewer sees, in its frame, if any; other
-    values (k,); names, and their covariance, the pose's turn and place (of its origin) first."""
+    values (k,); names, and their covariance, first of the pose's twist in the viewer's frame."""
 
-    pose: np.ndarray | None
+    pose: Pose | None
     values: np.ndarray
     names: tuple[str, ...]
     covariance: np.ndarray
@@ -265,18 +264,15 @@ def _camera_answer(fit: CameraResult) -> _HalfAnswer:
         return _HalfAnswer(None, values, names, covariance[np.ix_(others, others)])
     pose = inverse(pose_of(fit.camera))
     # A turn about right, up, forward moves what is seen the other way, about right, down, forward.
-    axes, down = pose[:3, :3], np.diag([1.0, -1.0, 1.0])
     by_reported = np.eye(len(fit.names))
-    by_reported[:3, :3] = -down
-    by_reported[3:6, :3] = skew(pose[:3, 3]) @ down
-    by_reported[3:6, 3:6] = -axes
+    by_reported[:3, :3], by_reported[3:6, 3:6] = -TO_B, -pose[:3, :3]
     return _HalfAnswer(pose, values, (*MOTION, *names), carried(covariance, by_reported))
 
 
 def _object_answer(placed: ObjectFit) -> _HalfAnswer:
     """An object's pose in the world."""
     by_reported = np.eye(6)
-    by_reported[:3, :3] = placed.pose[:3, :3]
+    by_reported[:, :3] = adjoint(placed.pose)[:, :3]
     return _HalfAnswer(placed.pose, np.zeros(0), MOTION, carried(placed.covariance, by_reported))
 
 
@@ -323,13 +319,12 @@ def _known_best(answer: _HalfAnswer) -> np.ndarray:
     curl = np.array([across[1, 2] - across[2, 1], across[2, 0] - across[0, 2],
                      across[0, 1] - across[1, 0]])  # fmt: skip
     inertia = np.trace(turns) * np.eye(3) - turns
-    return answer.pose[:3, :3].T @ np.linalg.lstsq(inertia, curl, rcond=None)[0]
+    return moved(inverse(answer.pose), np.linalg.lstsq(inertia, curl, rcond=None)[0])
 
 
 def _about(answer: _HalfAnswer, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The place (3,) of a point of the body, and the answer's covariance with it as the origin."""
+    """The place (3,) of a point of the body, and the answer's covariance by turns about it."""
     assert answer.pose is not None
-    arm = answer.pose[:3, :3] @ point
-    by_origin = np.eye(len(answer.names))
-    by_origin[3:6, :3] = -skew(arm)
-    return arm + answer.pose[:3, 3], carried(answer.covariance, by_origin)
+    place, by_twist = moved(answer.pose, point), np.eye(len(answer.names))
+    by_twist[3:6, :3] = -skew(place)
+    return place, carried(answer.covariance, by_twist)

@@ -111,7 +111,7 @@ def drift(fit: Fit, reference: Camera | Fit) -> Drift:
         turn,
         axes @ shift,
         by,
-        _sigma(change[fitted], covariance[np.ix_(fitted, fitted)]),
+        sigma_of(*squared_sigmas(change[fitted], covariance[np.ix_(fitted, fitted)])),
     )
 
 
@@ -187,12 +187,12 @@ def squared_sigmas(change: np.ndarray, covariance: np.ndarray) -> tuple[float, i
     return float(np.sum((vectors.T @ (change / scale)) ** 2 / values)), change.size
 
 
-def _sigma(change: np.ndarray, covariance: np.ndarray) -> float:
-    """The significance of a change, as the distance of a normal number from its mean."""
+def sigma_of(squares: float, count: float) -> float:
+    """The probability of chi-squared of this many numbers, as the distance of a normal number from
+    its mean; 0 where they tell nothing."""
     from scipy.stats import chi2, norm
 
-    squares, count = squared_sigmas(change, covariance)
-    if not count:
+    if not (count > 0 and np.isfinite(squares)):
         return 0.0
     log = float(chi2.logsf(squares, count))
     return float(norm.isf(np.exp(log) / 2)) if log > -600 else float(np.sqrt(squares))

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from .._fit.drift import sigma_of
 from .._fit.result import Context, gradients
 from .._outline.outline_errors import OutlineErrors
 from .._outline.statistics import mask_errors
@@ -123,10 +124,10 @@ class Agreement:
         """The numbers by which unknowns are reported."""
         return self.problem.estimates(parts, self.descent.state, self.descent.seen)
 
-    def covariance_of(self, estimates: Estimates, independent: bool = False) -> np.ndarray:
-        """The covariance (p, p) of reported numbers; infinite, with no covariances, where they move
-        along directions that change no mask."""
-        place, by_unknowns = estimates.place, estimates.by_unknowns
+    def covariance_of(self, parts: Sequence[Part], independent: bool = False) -> np.ndarray:
+        """The covariance (p, p) of the numbers by which unknowns are reported; infinite, with no
+        covariances, where they move along directions that change no mask."""
+        _, place, by_unknowns = self.estimates(parts)
         known = self.independent(place) if independent else self.covariance(place)
         result = by_unknowns @ known @ by_unknowns.T
         forget(result, by_unknowns @ self.unseen[place])
@@ -284,18 +285,8 @@ def _agreement(problem: JointProblem, found: Descent, counts: np.ndarray) -> Agr
         off=(misfit / np.median(misfit)) ** 0.5,
         errors=errors,
         noise=noise,
-        sigma=np.array([*map(_sigma, squares, ranks)]),
+        sigma=np.array([*map(sigma_of, squares, ranks)]),
     )
-
-
-def _sigma(squares: float, rank: float) -> float:
-    """The probability of chi-squared of this many numbers, as the distance of a normal number."""
-    from scipy.stats import chi2, norm
-
-    if not (rank > 0 and np.isfinite(squares)):
-        return 0.0
-    log = float(chi2.logsf(squares, rank))
-    return float(norm.isf(np.exp(log) / 2)) if log > -600 else float(np.sqrt(squares))
 
 
 def _gradient(solver: Solver, seen: ViewRows, errors: OutlineErrors | None) -> np.ndarray:

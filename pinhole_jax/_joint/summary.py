@@ -46,9 +46,8 @@ def report(end: Outcome, free: Mapping[str, Sequence[Free]]) -> JointFit:
     for name in problem.cameras:
         moving = problem.eye_of(name)[1].moving
         fits[name] = _camera_fit(end, name, views, free.get(moving, []))
-    covariance = lambda name: found.covariance_of(found.estimates([Part(name, POSE)]))
     objects = {
-        name: ObjectFit(pose=state.poses[name], covariance=covariance(name))
+        name: ObjectFit(state.poses[name], found.covariance_of([Part(name, POSE)]))
         for name in problem.objects()
     }
     open_still = [f"{name}: {f}" for name in objects for f in free.get(name, [])]
@@ -111,8 +110,8 @@ def _camera_fit(end: Outcome, name: str, views: tuple[ViewFit, ...], free: Seque
     in_carrier = lambda state: at_pose(state.lenses[name], state.poses[eye.moving] @ eye.rig)
     way = [Stop(in_carrier(p.state), levels[eye.level(p.depth)], p.steps) for p in end.path.way]
 
-    estimates = found.estimates(problem.parts_of(name))
-    covariance = found.covariance_of(estimates)
+    parts = problem.parts_of(name)
+    estimates, covariance = found.estimates(parts), found.covariance_of(parts)
     here = Solution(eye.canonical(state), seen.view, ())
     free = [transported(eye.solver, here, direction) for direction in free]
     if free:  # its covariance is to hold what is free about it
@@ -132,7 +131,7 @@ def _camera_fit(end: Outcome, name: str, views: tuple[ViewFit, ...], free: Seque
         iou=iou,
         steps=end.path.steps,
         history=tuple(progress_at(stop, film) for stop in way),
-        independent_covariance=found.covariance_of(estimates, independent=True),
+        independent_covariance=found.covariance_of(parts, independent=True),
         mask_error=max(errors, key=lambda error: error.px, default=None),
     )
     status, weak = _status(end, numbers, views, fit)
@@ -193,9 +192,9 @@ def _scales(found: Agreement) -> dict[str, SceneScale]:
         across = {}
         for owner in (*problem.objects(), *problem.cameras):
             poses = [part for part in problem.parts_of(owner) if part.kind in MOTIONS]
-            known = found.covariance_of(found.estimates([*poses, Part(name, SCALE)]))
+            known = found.covariance_of([*poses, Part(name, SCALE)])
             across |= {owner: known[:-1, -1]} if poses else {}
-        ((variance,),) = found.covariance_of(found.estimates([Part(name, SCALE)]))
+        ((variance,),) = found.covariance_of([Part(name, SCALE)])
         result[name] = SceneScale(found.descent.state.scales[name], float(variance**0.5), across)
     return result
 
@@ -210,7 +209,7 @@ def _zeros(found: Agreement) -> JointZeros | None:
         names=names,
         values=np.array([found.descent.state.zeros[name] for name in names]),
         units=tuple(units[name] for name in names),
-        covariance=found.covariance(found.estimates([Part(n, ZERO) for n in names]).place),
+        covariance=found.covariance_of([Part(name, ZERO) for name in names]),
     )
 
 
