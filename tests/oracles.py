@@ -73,11 +73,12 @@ def sides_of_frame(W: int, H: int) -> np.ndarray:
 
 def clipped_polygon(corners: np.ndarray, W: int, H: int):
     """Return a convex polygon of homogeneous points within the frame (a pixel larger)."""
-    corners = clipped(corners, sides_of_frame(W, H))
-    corners = corners[corners[:, 2] > 1e-13] if len(corners) else corners
+    kind = corners.dtype
+    corners = clipped(corners / np.abs(corners).max(), sides_of_frame(W, H).astype(kind))
+    corners = corners[corners[:, 2] > 512 * np.finfo(kind).eps] if len(corners) else corners
     if len(corners) < 3:
         return None
-    hull = shapely.convex_hull(shapely.multipoints(corners[:, :2] / corners[:, 2:]))
+    hull = shapely.convex_hull(shapely.multipoints((corners[:, :2] / corners[:, 2:]).astype(float)))
     return hull if hull.geom_type == "Polygon" else None
 
 
@@ -207,9 +208,11 @@ def random_camera(random: np.random.Generator, W: int, H: int, distance: float =
     return pj.Camera(eye, 0.1 * random.normal(size=3), random.normal(size=3), 0.6, 1.0, W, H)
 
 
-def deviates(random: np.random.Generator, count: int, size: int) -> np.ndarray:
-    """Return normal numbers (count, size) whose own mean is 0 and covariance 1: what is linear in
-    them has the covariance that it should have, however few they are."""
-    numbers = random.normal(size=(count, size))
-    numbers -= numbers.mean(axis=0)
-    return np.linalg.solve(np.linalg.cholesky(np.cov(numbers.T)), numbers.T).T
+def random_rays(number: int, dtype=float):
+    """Return origins (n, 3), 3 from the middle, and unit directions past it."""
+    random = np.random.default_rng(0)
+    origin = random.normal(size=(number, 3))
+    origin *= 3 / np.linalg.norm(origin, axis=1, keepdims=True)
+    direction = 0.6 * random.normal(size=(number, 3)) - origin
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    return jnp.asarray(origin, dtype), jnp.asarray(direction, dtype)

@@ -53,16 +53,6 @@ def test_vertices_beyond_float32_load_without_a_word(tmp_path):
     assert np.max(pj.load_mesh(tmp_path / "far.obj").vertices) == 1e300
 
 
-def test_real_meshes_load(shared):
-    for name, faces, closed in (
-        ("spot.obj", 5856, True),
-        ("teapot.obj", 6320, False),
-        ("counter.stl", 83750, True),
-    ):
-        mesh = pj.load_mesh(shared / "meshes" / name)
-        assert (mesh.faces.shape[0], mesh.closed) == (faces, closed)
-
-
 @pytest.mark.parametrize("lens", [None, pj.Lens([14.0, 11.0], 1.1)])
 def test_cameras_go_to_files_and_back(tmp_path, lens):
     camera, path = CAMERA.replace(lens=lens), tmp_path / "deep" / "camera.json"
@@ -194,13 +184,16 @@ def test_exif_that_contradicts_itself_says_so(tmp_path):
     assert "0.54 times as long" in io.photo_fov(tmp_path / "p.jpg").words
 
 
-@pytest.mark.parametrize("mask", [[[0.0, 1, 1.5]], [[False, True, True]], [[0, 255, 255]]])
-def test_masks_of_any_type_are_read_as_coverage(mask):
-    array = np.array(mask, np.uint8 if mask[0][1] == 255 else None)
-    assert_array_equal(io.as_coverage(array), [[0, 1, 1]])
+@pytest.mark.parametrize("full", [1, 255, 65535])
+@pytest.mark.parametrize("kind", [bool, "u1", "i2", "u2", "i8", "u4"])
+def test_masks_of_two_values_are_read_as_coverage(kind, full):
+    mask = np.array([[0, full, full]]).astype(kind)
+    if np.all(mask == [[0, full, full]]):
+        assert_array_equal(io.as_coverage(mask), [[0, 1, 1]])
 
 
-def test_mask_of_labels_is_no_coverage():
+def test_floats_are_held_to_coverage_and_labels_are_none():
+    assert_array_equal(io.as_coverage(np.array([[0.0, 1, 1.5]])), [[0, 1, 1]])
     with refusal("`mask`: expected integers that are all 0 or 1"):
         io.as_coverage(np.array([[0, 3, 7]]))
     with refusal(r"`mask`: expected shape \(H, W\)"):

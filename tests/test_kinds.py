@@ -11,7 +11,6 @@ from scipy.ndimage import gaussian_filter
 import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._mask.kinds import kind_of
-from pinhole_jax._mask.target import as_coverage, check_target
 
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 128, 128)
 
@@ -91,12 +90,3 @@ def test_residual_of_the_right_camera_matches_the_kind(mask, name):
     if exact and name != "16 samples":  # half a pixel off is not explained
         moved = 0.5 * (mask + np.roll(mask, 1, axis=1))
         assert np.mean((moved - mask)[outline] ** 2) > found.most
-
-
-@pytest.mark.parametrize("full", [1, 255, 65535])
-@pytest.mark.parametrize("dtype", [bool, np.uint8, np.int16, np.uint16, np.int64, np.uint32])
-def test_masks_of_two_values_are_taken_whatever_their_type(dtype, full):
-    disc = np.hypot(*np.mgrid[-9:9, -12:12]) < 5
-    if full == 1 or (dtype is not bool and full <= np.iinfo(dtype).max):
-        taken, _ = check_target(disc * np.asarray(full, dtype), None, 24, 18)
-        np.testing.assert_array_equal(as_coverage(taken), disc)

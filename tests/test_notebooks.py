@@ -2,8 +2,6 @@
 
 import html
 import re
-import subprocess
-import sys
 from xml.etree import ElementTree
 
 import jax
@@ -39,7 +37,9 @@ def circles(tree):
 def test_camera_shows_the_numbers_that_it_prints():
     lens = pj.Lens([46.0, 41.0], 1.02, pj.BrownConrady(-0.1))
     for camera in (CAMERA, CAMERA.replace(lens=lens)):
-        tree = parsed(camera._repr_html_())
+        text = camera._repr_html_()
+        assert text.count("http") == 1  # the name of SVG: nothing is loaded
+        tree = parsed(text)
         cells = [cell.text for cell in tree.iter() if cell.tag in ("th", "td") and cell.text]
         printed = " ".join(str(camera).split("\n", 1)[1].split())
         assert " ".join(" ".join(cells).split()) == printed
@@ -115,15 +115,3 @@ def test_fit_that_is_not_finite_is_shown():
     text = a_fit("non_finite", std=(np.nan,) * 3)._replace(camera=nan)._repr_html_()
     assert "svg" not in text
     assert "non_finite" in text
-
-
-@pytest.mark.long
-def test_html_loads_no_other_package():
-    code = (
-        "import sys, pinhole_jax as pj;"
-        "text = pj.Camera([0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, W=4, H=3)._repr_html_();"
-        "print('http:' in text.replace('http://www.w3.org/2000/svg', ''), 'https:' in text,"
-        " [m for m in ('IPython', 'matplotlib', 'PIL', 'trimesh') if m in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "False False []"
