@@ -9,7 +9,6 @@ from oracles import drawn
 import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._camera.poses import at_pose, exponential, pose_of
-from pinhole_jax._joint.door import joint_problem
 
 
 @pytest.mark.full
@@ -113,21 +112,13 @@ def test_joint_that_masks_do_not_show_keeps_its_prior(misread):
     assert abs(fit.joint_zeros.std[0] / 1e-5 - 1) < 0.1
 
 
-def test_jacobian_by_joint_zeros_equals_differences(misread):
+def test_observability_of_joint_zeros_equals_polygon_differences(misread):
     """But for pixels in which two links end: a small picture has some."""
-    problem = joint_problem(misread[:1], BEFORE, "pose", joint_zeros=1).with_zeros()
-    state, posture = problem.start, misread[0].posture
-    seen = problem.look(state)[0]
-    pixels, count = seen.view.pixels, len(seen.view.pixels.cell)
-    stated = (np.asarray(seen.view.jacobian) @ seen.moves)[:count, -3:]
-    used = np.asarray(pixels.weight) > 0
-    row, column = np.divmod(np.asarray(pixels.cell)[used], int(seen.view.level.W) + 2)
-    left, bottom = np.asarray(seen.view.level.origin, int)
-    for k, step in enumerate(1e-5 * np.eye(3)):
-        one, other = (drawn(BEFORE, posture.scene(sign * step)) for sign in (1, -1))
-        change = (one - other) / 2e-5
-        here = change[SIZE - 1 - row - bottom, column - 1 + left]
-        assert np.isclose(np.linalg.norm(here), np.linalg.norm(change))
-        off = np.abs(stated[used, k] - here) > 1e-3 * np.max(np.abs(here))
-        assert np.mean(off) < 0.06
-        assert np.linalg.norm(stated[used, k] - here) < 0.1 * np.linalg.norm(here)
+    told = pj.joint_observability(
+        misread[:1], BEFORE, "phi", joint_zeros=1.0, prior={"phi": (0.6, 1e-9)}, noise=0.1
+    )
+    shown = lambda x: drawn(BEFORE, misread[0].posture.scene(x))
+    ends = [(shown(x) - shown(-x)).ravel() / 2e-5 for x in 1e-5 * np.eye(3)]
+    information = np.eye(3) + ends @ np.transpose(ends) / 0.1**2
+    assert [name.split()[0] for name in told.names] == ["camera", "shoulder", "elbow", "wrist"]
+    np.testing.assert_allclose(told.std[1:] ** 2, np.diag(np.linalg.inv(information)), rtol=0.05)

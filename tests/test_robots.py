@@ -1,15 +1,17 @@
 """Robots' files: where meshes are, what Collada's numbers mean, which joints move, messages."""
 
 import re
-import struct
 import warnings
 from itertools import pairwise
 
 import numpy as np
 import pytest
+import trimesh
+from numpy.testing import assert_allclose
 from refusals import refusal
 
 import pinhole_jax as pj
+from pinhole_jax._command.joints import joint_angles
 
 pytest.importorskip("yourdfpy", reason="no yourdfpy here: URDFs are not tried")
 
@@ -22,8 +24,7 @@ TRIANGLES = [[a, *pair] for a, b, c, d in QUADS for pair in ((b, c), (c, d))]
 def write_stl(path, size):
     """A cube of this size, with a corner at the origin."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    rows = (struct.pack("<12fH", 0, 0, 0, *size * CORNERS[t].ravel(), 0) for t in TRIANGLES)
-    path.write_bytes(bytes(80) + struct.pack("<I", 12) + b"".join(rows))
+    trimesh.creation.box(bounds=[[0] * 3, [size] * 3]).export(path)
 
 
 def write_urdf(folder, body, name="a.urdf"):
@@ -42,6 +43,10 @@ def link(name, shape):
 
 def mesh(filename, scale=""):
     return link("part", f'<mesh filename="{filename}" {scale}/>')
+
+
+def corners_of(mesh):
+    return np.asarray(mesh.vertices)[np.asarray(mesh.faces)]
 
 
 def extent(robot, angles=()):
@@ -90,8 +95,8 @@ def test_package_manifests_name_packages(workspace):
 def test_folders_of_packages_may_be_given(workspace, monkeypatch):
     (workspace / "src/hand").rename(workspace / "elsewhere")
     file = write_urdf(workspace / "src/arm/urdf", mesh(HAND))
-    found = pj.robots.load_urdf(file, packages={"hand": workspace / "elsewhere"})
-    assert size_of(found) == 3
+    packages = {"hand": workspace / "elsewhere"}
+    assert size_of(pj.robots.load_urdf(file, packages=packages)) == 3
     words = rf"link 'part'.*'meshes/x.stl' of the package 'hand'.*looked in: {workspace}/src/arm\)"
     other = mesh(HAND.replace("base", "x"))
     with pytest.raises(FileNotFoundError, match=words):
@@ -130,8 +135,7 @@ def test_mirroring_scales_turn_faces_outwards(tmp_path):
     for scale, low in (("1 1 1", 0), ("-2 1 1", -2), ("0.5", 0)):
         robot = robot_of(tmp_path, mesh("a.stl", f'scale="{scale}"'))
         assert extent(robot)[0] == low
-        corners = np.asarray(robot.scene(()).mesh.vertices)[np.asarray(robot.scene(()).mesh.faces)]
-        assert np.sum(np.linalg.det(corners)) > 0
+        assert np.sum(np.linalg.det(corners_of(robot.scene(()).mesh))) > 0
 
 
 # --- Collada -------------------------------------------------------------------------------------
@@ -188,7 +192,7 @@ def test_collada_is_read_though_its_reader_uses_what_is_deprecated(tmp_path, mon
 def test_collada_units_count_once(tmp_path, up, unit, node, scale, expected):
     (tmp_path / "a.dae").write_text(collada(unit, node, up))
     robot = robot_of(tmp_path, mesh("a.dae", scale))
-    assert np.allclose(extent(robot), expected, atol=1e-5)
+    assert_allclose(extent(robot), expected, atol=1e-5)
 
 
 def test_collada_polygons_are_cut(tmp_path):
@@ -197,10 +201,9 @@ def test_collada_polygons_are_cut(tmp_path):
     text = collada(shape='<polylist count="1">{}<vcount>6</vcount><p>0 1 2 3 4 5</p></polylist>')
     text = re.sub(r'(count="24">)[^<]*', rf"\g<1>{numbers}", text)
     (tmp_path / "a.dae").write_text(text)
-    mesh = pj.load_mesh(tmp_path / "a.dae")
-    a, b, c = np.moveaxis(np.asarray(mesh.vertices)[np.asarray(mesh.faces)], 1, 0)
-    areas = np.cross(b - a, c - a)[:, 2] / 2
-    assert np.allclose(areas.sum(), 3)
+    sides = np.diff(corners_of(pj.load_mesh(tmp_path / "a.dae"))[..., :2], axis=1)
+    areas = np.linalg.det(sides) / 2
+    assert_allclose(areas.sum(), 3)
     assert np.all(areas > 0)
 
 
@@ -279,7 +282,7 @@ DOUBLE = joint("j2", "b", "c", mimic("j1", 'multiplier="2" offset="0.5"'))
 def test_joints_that_follow_others_and_long_axes(tmp_path, joints, expected):
     robot = robot_of(tmp_path, chain(*joints))
     assert robot.joints == ("j1",)
-    assert np.allclose(robot.poses([0.3])["d"][:2, 3], expected)
+    assert_allclose(robot.poses([0.3])["d"][:2, 3], expected)
 
 
 SHUT = joint("j3", "c", "d", kind="fixed")
@@ -385,24 +388,22 @@ def test_elements_that_are_not_seen_may_be_anything(tmp_path):
     file.write_text(file.read_text().replace('<robot name="a">', head))
     robot = pj.robots.load_urdf(file)
     assert robot.links == ("a",)
-    assert np.allclose(extent(robot), [-0.05] * 3 + [0.05] * 3)
+    assert_allclose(extent(robot), [-0.05] * 3 + [0.05] * 3)
 
 
 # --- files of angles -----------------------------------------------------------------------------
-
-
-def moving(name, kind, parent, child, limit=""):
-    ends = f'<parent link="{parent}"/><child link="{child}"/><axis xyz="0 0 1"/>'
-    return f'<joint name="{name}" type="{kind}">{ends}{limit}</joint>'
 
 
 @pytest.fixture
 def arm(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     body = link("a", '<box size="1 1 1"/>') + "".join(f'<link name="{x}"/>' for x in "bcd")
-    body += moving("turn", "revolute", "a", "b", '<limit lower="-2" upper="3" effort="x"/>')
-    body += moving("slide", "prismatic", "b", "c", '<limit lower="0" upper="0.4"/>')
-    body += moving("wheel", "continuous", "c", "d", '<limit effort="1" velocity="2"/>')
+    for name, ends, kind, limit in (
+        ("turn", "ab", "revolute", 'lower="-2" upper="3" effort="x"'),
+        ("slide", "bc", "prismatic", 'lower="0" upper="0.4"'),
+        ("wheel", "cd", "continuous", 'effort="1" velocity="2"'),
+    ):
+        body += joint(name, *ends, f"<limit {limit}/>", kind)
     return robot_of(tmp_path, body)
 
 
@@ -425,8 +426,6 @@ NAMES = '"names": ["turn", "slide", "wheel"], "postures": [[{}]]'
     ],
 )
 def test_joint_angles_have_the_unit_that_their_file_names(arm, tmp_path, more, row, turn):
-    from pinhole_jax._command.joints import joint_angles
-
     (tmp_path / "j.json").write_text("{" + more + NAMES.format(row) + "}")
     (posture,) = joint_angles("j.json", arm)
     assert posture["turn"] == pytest.approx(turn, rel=1e-15)
@@ -445,8 +444,6 @@ def test_joint_angles_have_the_unit_that_their_file_names(arm, tmp_path, more, r
     ],
 )
 def test_joint_angles_that_no_joint_reaches_are_refused(arm, tmp_path, more, row, message):
-    from pinhole_jax._command.joints import joint_angles
-
     (tmp_path / "j.json").write_text("{" + more + NAMES.format(row) + "}")
     with refusal(message.replace("?", r"\?")):
         joint_angles("j.json", arm)
