@@ -1,6 +1,6 @@
 """Damaged files for each reader: a `ValueError` that names what is wrong, 5 s and 1 GB at most.
 
-    python tests/fuzz_readers.py --seconds 60 [--only obj,nerf]
+    python tests/fuzz_readers.py --seconds 60 [--only obj,png]
 
 Each reader has a process with a limit of memory; a bell rings after 5 s of the processor. libFuzzer
 (atheris) damages a valid file and keeps what reaches new branches, until one breaks the contract:
@@ -113,21 +113,15 @@ def targets(folder: Path) -> dict[str, Target]:
     if find_spec("yourdfpy"):
         found["urdf"] = Target("robot.urdf", pj.robots.load_urdf, [URDF])
     files = {"json": "camera.json", "opencv": "camera.yaml", "nerf": "transforms.json",
-             "blender": "blender.json", "gltf camera": "camera.gltf", "pytorch3d": "pytorch3d.json",
-             "mitsuba": "camera.xml"}  # fmt: skip
-    read = lambda name: lambda path: pj.formats.read(path, name)
-    for name, file in files.items():
-        form = name.split()[0]
-        pj.formats.write(folder / file, {"camera": CAMERA}, form)
-        found[name] = Target(file, read(form), [(folder / file).read_bytes()])
-    for name, ending in (("colmap", "txt"), ("colmap-binary", "bin")):
-        pj.formats.write(folder / name, {"camera": CAMERA}, name)
-        for part in ("cameras", "images"):
-            path = folder / name / f"{part}.{ending}"
-            reads = lambda path, name=name: pj.formats.read(path.parent, name)
-            found[f"{name} {part}"] = Target(
-                str(path.relative_to(folder)), reads, [path.read_bytes()]
-            )
+             "blender": "blender.json", "gltf": "camera.gltf", "pytorch3d": "pytorch3d.json",
+             "mitsuba": "camera.xml", "colmap": "text", "colmap-binary": "binary"}  # fmt: skip
+    for form, file in files.items():
+        whole = folder / file
+        pj.formats.write(whole, {"camera": CAMERA}, form)
+        read = lambda _, whole=whole, form=form: pj.formats.read(whole, form)
+        for path in sorted(whole.iterdir()) if whole.is_dir() else [whole]:
+            name = f"{form} {path.stem}"
+            found[name] = Target(str(path.relative_to(folder)), read, [path.read_bytes()])
     mask = np.asarray(pj.silhouette(CAMERA, pj.Scene(mesh=pj.shapes.bumpy(1))))
     for kind in PICTURES:
         found[kind] = Target(f"mask.{kind}", pj.io.load_mask, [*pictures(mask, kind)])

@@ -35,19 +35,26 @@ def cut(space):
     return triangulate(Polygons(space, np.arange(len(space)), np.array([len(space)])))
 
 
+#: Corners in shapely's text (WKT), and of some curves.
 SHAPES = {
-    "chevron": [[0, 0], [1, 0.8], [2, 0], [1, 2]],
-    "L": [[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]],
-    "arrow": [[0, 1], [2, 1], [2, 0], [4, 1.5], [2, 3], [2, 2], [0, 2]],
-    "star": [[(1 + k % 2) * f(k * np.pi / 5) for f in (np.cos, np.sin)] for k in range(10)],
-    "square": [[0, 0], [1, 0], [1, 1], [0, 1]],
-    "corners in line": [[0, 0], [1, 0], [2, 0], [2, 1], [1, 1], [1, 1.5], [1, 2], [0, 2], [0, 1]],
-    "all but one in line": [[0, 0], [1, 0], [2, 0], [3, 0], [1.5, 1]],
-    "corners twice": [[0, 0], [0, 0], [2, 0], [1, 0.5], [1, 0.5], [1, 0.5], [0, 2], [0, 0]],
-    "a spike": [[0, 0], [1, 0], [3, 0], [1, 0], [1, 1], [0.6, 0.2]],
-    # A square with a square hole, joined by a bridge that is walked twice.
-    "bridge": [[0, 0], [3, 0], [3, 3], [0, 3], [0, 0], [1, 1], [1, 2], [2, 2], [2, 1], [1, 1]],
-    "touching": [[0, 0], [2, 0], [2, 2], [1, 0], [0, 2]],  # a corner on a side
+    name: shapely.get_coordinates(shapely.from_wkt(f"LINESTRING ({corners})"))
+    for name, corners in {
+        "chevron": "0 0, 1 0.8, 2 0, 1 2",
+        "L": "0 0, 2 0, 2 1, 1 1, 1 2, 0 2",
+        "arrow": "0 1, 2 1, 2 0, 4 1.5, 2 3, 2 2, 0 2",
+        "square": "0 0, 1 0, 1 1, 0 1",
+        "corners in line": "0 0, 1 0, 2 0, 2 1, 1 1, 1 1.5, 1 2, 0 2, 0 1",
+        "all but one in line": "0 0, 1 0, 2 0, 3 0, 1.5 1",
+        "corners twice": "0 0, 0 0, 2 0, 1 0.5, 1 0.5, 1 0.5, 0 2, 0 0",
+        "a spike": "0 0, 1 0, 3 0, 1 0, 1 1, 0.6 0.2",
+        # A square with a square hole, joined by a bridge that is walked twice.
+        "bridge": "0 0, 3 0, 3 3, 0 3, 0 0, 1 1, 1 2, 2 2, 2 1, 1 1",
+        "a corner on a side": "0 0, 2 0, 2 2, 1 0, 0 2",
+    }.items()
+} | {
+    "star": np.array(
+        [[(1 + k % 2) * f(k * np.pi / 5) for f in (np.cos, np.sin)] for k in range(10)]
+    ),
     "comb": comb(20),
     "blob": blob(57),
     "circle": blob(100, spread=0),
@@ -85,7 +92,7 @@ def check(corners, space, triangles, closed=True):
 @pytest.mark.parametrize("turned", [0, 1, 3])
 @pytest.mark.parametrize("way", [1, -1])
 def test_face_covers_its_polygon(name, turned, way):
-    corners = np.roll(np.asarray(SHAPES[name], float), turned, axis=0)[::way]
+    corners = np.roll(SHAPES[name], turned, axis=0)[::way]
     for place in (np.eye(3), *Rotation.random(3, turned).as_matrix()):
         space = in_space(corners, place)
         for scale, offset in ((1, 0), (1e-6, 0), (1e-6, 1.0), (1e6, 0), (1e-30, 0), (1, 1e5)):
