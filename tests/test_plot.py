@@ -7,7 +7,7 @@ import shapely
 import trimesh
 from chosen import long
 from numpy.testing import assert_allclose
-from oracles import mesh_polygons, sphere_polygons, usual_camera
+from oracles import scene_polygons, usual_camera
 from results import fit_at
 
 import pinhole_jax as pj
@@ -21,16 +21,14 @@ BODIES = {
     "bumpy": pj.Scene(mesh=shapes.bumpy(3)),
     "torus": pj.Scene(mesh=pj.Mesh(trimesh.creation.torus(1.0, 0.4))),
     "box": pj.Scene(mesh=pj.Mesh(trimesh.creation.box())),
+    "ball": pj.Scene(spheres=pj.Spheres([[0.1, 0.2, 0]], [1.0])),
     "spheres": pj.Scene(spheres=pj.Spheres([[0.0, 0, 0], [0.6, 0.2, 0.3]], [0.5, 0.4])),
 }
 
 
 @pytest.mark.parametrize("name", ["bumpy", "torus", "box", long("spheres")])
 def test_outline_is_that_of_the_union(name):
-    mesh, spheres = BODIES[name].mesh, BODIES[name].spheres
-    polygons = mesh_polygons(CAMERA, mesh.vertices, mesh.faces) if mesh else []
-    polygons += sphere_polygons(CAMERA, spheres.centers, spheres.radii) if spheres else []
-    boundary = shapely.union_all(polygons).boundary
+    boundary = shapely.union_all(scene_polygons(CAMERA, BODIES[name])).boundary
     lines = shapely.linestrings(plot.outline(CAMERA, BODIES[name]))
     assert_allclose(np.sum(shapely.length(lines)), boundary.length, rtol=0.02)
     assert np.max(shapely.distance(lines, boundary)) < 0.1
@@ -38,14 +36,12 @@ def test_outline_is_that_of_the_union(name):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("what", ["mesh", "spheres"])
-def test_outline_under_distortion_passes_through_contour_points(what):
-    straight = CAMERA.replace(lens=pj.Lens([46.0, 41.0], 1.02))
+@pytest.mark.parametrize("name", ["bumpy", "ball"])
+def test_outline_under_distortion_passes_through_contour_points(name):
+    lens, scene = pj.Lens([46.0, 41.0], 1.02), BODIES[name]
     distortion = pj.BrownConrady(-0.3, 0.1, 2e-3, 1e-3, 0.02)
     bent = CAMERA.replace(lens=pj.Lens([46.0, 41.0], 1.02, distortion))
-    ball = pj.Spheres([[0.1, 0.2, 0]], [1.0])
-    scene = pj.Scene(mesh=shapes.bumpy(2)) if what == "mesh" else pj.Scene(spheres=ball)
-    outline, plain = plot.outline(bent, scene), plot.outline(straight, scene)
+    outline, plain = (plot.outline(view, scene) for view in (bent, CAMERA.replace(lens=lens)))
     seen = np.asarray(pj.project(bent, jnp.asarray(pj.contour_points(bent, scene))))
     middles = lambda lines: shapely.points(lines.mean(axis=1))
     off = shapely.distance(middles(outline), shapely.multipoints(seen))
@@ -57,14 +53,13 @@ def test_outline_under_distortion_passes_through_contour_points(what):
 @pytest.mark.long
 @pytest.mark.parametrize("shape", [(80, 96), (80, 96, 3), (80, 96, 4)])
 def test_overlay_draws_on_the_outline_and_nowhere_else(shape):
-    scene = pj.Scene(mesh=shapes.bumpy(2))
-    image = np.full(shape, 200, np.uint8)
+    scene, image = BODIES["bumpy"], np.full(shape, 200, np.uint8)
     drawn = plot.overlay(image, CAMERA, scene)
     factor = drawn.shape[0] // 80
     assert drawn.shape == (80 * factor, 96 * factor, 3)
     assert max(drawn.shape) >= 800
     changed = np.any(drawn != 200, axis=2)
-    union = shapely.union_all(mesh_polygons(CAMERA, scene.mesh.vertices, scene.mesh.faces))
+    union = shapely.union_all(scene_polygons(CAMERA, scene))
     rows, columns = np.nonzero(changed)
     points = shapely.points((columns + 0.5) / factor, 80 - (rows + 0.5) / factor)
     assert np.max(shapely.distance(points, union.boundary)) < 4 / factor
@@ -175,10 +170,9 @@ def test_frustum_is_bent_by_the_lens():
     assert np.any(np.abs(bent - plain) > 60, axis=2).sum() > 100
 
 
-@pytest.mark.parametrize("what", ["mesh", "spheres"])
-def test_scene_view_shows_object_and_camera(what):
-    ball = pj.Scene(spheres=pj.Spheres([[0.0, 0, 0]], [0.8]))
-    view = plot.scene_view(CAMERA, pj.Scene(mesh=shapes.bumpy(2)) if what == "mesh" else ball, 200)
+@pytest.mark.parametrize("name", ["bumpy", "ball"])
+def test_scene_view_shows_object_and_camera(name):
+    view = plot.scene_view(CAMERA, BODIES[name], 200)
     assert view.shape == (150, 200, 3)
     r, g, b = np.moveaxis(view.astype(int), -1, 0)
     camera, thing = (np.nonzero(x)[1] for x in ((b > r + 60) & (b > g), (r > b + 20) & (r > g)))

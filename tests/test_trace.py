@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from chosen import full
 from numpy.testing import assert_allclose, assert_array_equal
-from oracles import usual_camera
+from oracles import random_rays, usual_camera
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
@@ -15,19 +15,8 @@ from pinhole_jax import shapes
 CAMERA = usual_camera(24, 20)
 
 
-@pytest.fixture(scope="module")
-def rays():
-    """A few thousand rays: some from a camera, some from anywhere to anywhere."""
-    random = np.random.default_rng(0)
-    eye, target = random.normal(size=(2, 1500, 3))
-    eye *= 3 / np.linalg.norm(eye, axis=1, keepdims=True)
-    direction = target * 0.6 - eye
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    return pj.Rays(jnp.asarray(eye), jnp.asarray(direction))
-
-
 @pytest.mark.parametrize("name", ["spot.obj", full("bob.obj"), "bumpy"])
-def test_same_hits_as_embree(name, rays, request):
+def test_same_hits_as_embree(name, request):
     pytest.importorskip("embreex")
     from trimesh.ray.ray_pyembree import RayMeshIntersector
 
@@ -35,6 +24,7 @@ def test_same_hits_as_embree(name, rays, request):
         mesh = shapes.bumpy(4)
     else:
         mesh = pj.load_mesh(request.getfixturevalue("shared") / "meshes" / name)
+    rays = pj.Rays(*random_rays(1500))
     hit = pj.trace(pj.Scene(mesh=mesh), rays)
     origin, direction = (np.asarray(x) for x in rays)
     peer = RayMeshIntersector(trimesh.Trimesh(mesh.vertices, mesh.faces, process=False))
@@ -66,31 +56,33 @@ def test_no_ray_leaks_through_edges_or_vertices(dtype, offset):
 
 
 TRIANGLE = pj.Mesh([[0, 0, 0], [2, 0, 0], [0, 2, 0.0]], [[0, 1, 2]])
-DOWN, UP, ASIDE = [0.0, 0, -1], [0.0, 0, 1], [0.6, 0.8, 0]
-BY_HAND = {  # origin, direction, t, primitive, normal
-    "triangle": ([0.5, 0.25, 3], DOWN, 3, 0, [0, 0, 1]),
-    "triangle, by a longer direction": ([0.5, 0.25, 3], [0, 0, -2.0], 1.5, 0, [0, 0, 1]),
-    "triangle from below": ([0.5, 0.25, -3], UP, 3, 0, [0, 0, 1]),
-    "triangle behind": ([0.5, 0.25, 3], UP, np.inf, -1, [0, 0, 0]),
-    "triangle edge-on": ([0.5, 0.25, 3], ASIDE, np.inf, -1, [0, 0, 0]),
-    "sphere": ([-5.0, 0, 4], DOWN, 3, 1, [0, 0, 1]),
-    "sphere, by a longer direction": ([-5.0, 0, 4], [0, 0, -2.0], 1.5, 1, [0, 0, 1]),
-    "sphere's far wall": ([-5.0, 0, 0], DOWN, 1, 1, [0, 0, -1]),
-    "sphere off centre": ([-5.0, 0.6, 4], DOWN, 3.2, 1, [0, 0.6, 0.8]),
-    "sphere touched": ([-5.0, 1, 4], DOWN, 4, 1, [0, 1, 0]),
-    "sphere missed": ([-5.0, 1.1, 4], DOWN, np.inf, -1, [0, 0, 0]),
-    "between two spheres": ([-5.0, 0, -2], DOWN, 2, 2, [0, 0, 1]),
-    "sphere before the triangle": ([0.3, 1.0, 4], DOWN, 3.5, 3, [0, 0, 1]),
-}
+#: Rays and their hits: origin, direction, t, primitive, normal.
+BY_HAND = np.loadtxt(
+    """
+    0.5 0.25  3   0 0 -1      3   0   0 0 1      # a triangle
+    0.5 0.25  3   0 0 -2    1.5   0   0 0 1      # by a longer direction
+    0.5 0.25 -3   0 0 1       3   0   0 0 1      # from below
+    0.5 0.25  3   0 0 1     inf  -1   0 0 0      # behind
+    0.5 0.25  3   0.6 0.8 0 inf  -1   0 0 0      # edge-on
+     -5 0     4   0 0 -1      3   1   0 0 1      # a sphere
+     -5 0     4   0 0 -2    1.5   1   0 0 1      # by a longer direction
+     -5 0     0   0 0 -1      1   1   0 0 -1     # its far wall
+     -5 0.6   4   0 0 -1    3.2   1   0 0.6 0.8  # off its centre
+     -5 1     4   0 0 -1      4   1   0 1 0      # touched
+     -5 1.1   4   0 0 -1    inf  -1   0 0 0      # missed
+     -5 0    -2   0 0 -1      2   2   0 0 1      # from between two spheres
+    0.3 1     4   0 0 -1    3.5   3   0 0 1      # a sphere before the triangle
+    """.splitlines()
+)
 
 
 def test_hits_are_those_worked_out_by_hand():
     spheres = pj.Spheres([[-5.0, 0, 0], [-5, 0, -5], [0.3, 1.0, 0]], [1.0, 1.0, 0.5])
-    origin, direction, t, primitive, normal = zip(*BY_HAND.values(), strict=True)
+    origin, direction, t, primitive, normal = np.split(BY_HAND, [3, 6, 7, 8], axis=1)
     rays = pj.Rays(jnp.array(origin), jnp.array(direction))
     hit = pj.trace(pj.Scene(mesh=TRIANGLE, spheres=spheres), rays)
-    assert_allclose(hit.t, t, rtol=1e-12)
-    assert hit.primitive.tolist() == [*primitive]
+    assert_allclose(hit.t, t[:, 0], rtol=1e-12)
+    assert_array_equal(hit.primitive, primitive[:, 0])
     assert_allclose(hit.normal, normal, atol=1e-12)
     # (0.5, 0.25) = 0.625 a + 0.25 b + 0.125 c
     assert_allclose(hit.barycentric[:2], [[0.625, 0.25, 0.125]] * 2, atol=1e-15)

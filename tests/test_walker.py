@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from chosen import first
 from numpy.testing import assert_array_equal
+from oracles import random_rays
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
@@ -103,14 +104,6 @@ def test_hits_in_soups_are_those_by_arrays(dtype, exhaustive):
             wrong = differ(scene_of, vertices, origin, np.asarray(rays[1]), ours)
             assert not wrong.any(), trial
     assert met > 5000
-
-
-def random_rays(number, dtype="float64"):
-    random = np.random.default_rng(0)
-    origin = random.normal(size=(number, 3))
-    origin *= 3 / np.linalg.norm(origin, axis=1, keepdims=True)
-    direction = 0.6 * random.normal(size=(number, 3)) - origin
-    return jnp.asarray(origin, dtype), jnp.asarray(direction, dtype)
 
 
 @pytest.mark.parametrize(
