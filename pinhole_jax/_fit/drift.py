@@ -187,7 +187,7 @@ def squared_sigmas(change: np.ndarray, covariance: np.ndarray) -> tuple[float, i
     return float(np.sum((vectors.T @ (change / scale)) ** 2 / values)), change.size
 
 
-def sigma_of(squares: float, count: float) -> float:
+def sigma_of(squares: float, count: int) -> float:
     """The probability of chi-squared of this many numbers, as the distance of a normal number from
     its mean; 0 where they tell nothing."""
     from scipy.stats import chi2, norm

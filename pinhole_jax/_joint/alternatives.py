@@ -25,7 +25,7 @@ from .._mask.mask import Mask
 from .._mask.search import guesses
 from .._outline.statistics import is_explained
 from .._rules import RULES
-from .._solver.least_squares import Descent, LinearSolution, solve
+from .._solver.least_squares import LinearSolution, solve
 from .._solver.moves import canonical, on_film
 from .._solver.parameters import LABELS, labels_of
 from .._solver.priors import Prior
@@ -272,11 +272,7 @@ def _search_together(pose: LonePose, state: State, tell: Tell) -> list[Path]:
         proposed = guesses(eye.mask, eye.solver.subject.scene, eye.solver.subject.ball)
         for guess in islice(distinct(proposed, RULES.start), TRIED):
             there = eye.with_camera(pose.name, canonical(guess), state)
-            seen = coarsest.look(there)
-            squares = float(sum(s.view.squares for s in seen))
-            tried.append(
-                Path(Descent(there, seen, squares, 0, False), (LevelEnd(there, level, 0),))
-            )
+            tried.append(Path(coarsest.stay(there), (LevelEnd(there, level, 0),)))
     tell(f"{len(tried)} guesses of {len(few.eyes)} views")
     best_first = lambda paths: sorted(paths, key=lambda path: path.squares)
 
