@@ -11,7 +11,7 @@ from pinhole_jax import shapes
 from pinhole_jax._camera.poses import exponential
 from pinhole_jax._joint.agreement import known_by_others
 from pinhole_jax._joint.door import MANY_VIEWS, joint_problem
-from pinhole_jax._solver.least_squares import Rows, solve
+from pinhole_jax._solver.least_squares import Rows, held_to_the_end, solve
 
 
 def test_elimination_equals_the_dense_solution():
@@ -159,3 +159,13 @@ def test_mesh_with_unshared_vertices_warns():
     with pytest.warns(UserWarning, match="`vertices`: 960 stand at 162 places"):
         pj.Mesh(loose, np.arange(len(loose)).reshape(-1, 3))
     pj.Mesh(sphere.vertices, sphere.faces)  # (a warning here is an error)
+
+
+def test_elimination_order_makes_the_least_work():
+    """Cameras that share a lens; pictures of one part each, by both eyes of a head."""
+    cameras = [[k, 50] for k in range(50)]
+    held = held_to_the_end(cameras, [6] * 50 + [1])
+    assert np.flatnonzero(held).tolist() == [50]
+    frames = [[eye, 2 + k] for k in range(50) for eye in (0, 1)]
+    assert np.flatnonzero(held_to_the_end(frames, [6] * 52)).tolist() == [0, 1]
+    assert np.all(held_to_the_end([[0, 1], [0, 1]], [6, 1]))

@@ -393,3 +393,14 @@ def test_bad_arguments_of_tidy_mask_are_refused():
         io.tidy_mask(np.zeros(3))
     with refusal("`speck`: expected a share of the object, 0 <= speck < 1, got 1.0"):
         io.tidy_mask(np.zeros((3, 3)), speck=1.0)
+
+
+@pytest.mark.parametrize("softness", [1, 2, 3])
+@pytest.mark.parametrize("back", [0, 255])
+@pytest.mark.parametrize("kind", ["two hues", "smooth"])
+def test_many_colours_that_fade_to_the_background_are_refused(tmp_path, kind, softness, back):
+    hues = 255 * np.dstack([SMOOTH_X < 50, 0 * SMOOTH_X, SMOOTH_X >= 50])
+    share = disc(softness)[..., None]
+    mixed = (SMOOTH if kind == "smooth" else hues) * share + back * (1 - share)
+    with refusal(r"a soft edge, too.* alpha .*--mask-from luminance\)"):
+        load(tmp_path, channels(np.uint8(np.round(mixed)), np.uint8(255 * (share > 0))))

@@ -155,3 +155,16 @@ def test_ellipsoids_hold_for_errors_of_a_circle_that_are_rough_or_smooth(power, 
         fit = model.fit(root @ random.normal(size=60), by_move)
         held.append(fit.move @ np.linalg.solve(fit.covariance, fit.move) < 9.49)  # (95 % of four)
     assert np.mean(held) > 0.85
+
+
+def test_evidence_without_gross_offsets_equals_that_of_the_others():
+    """(The oracle: a model of the others' places alone.)"""
+    random = np.random.default_rng(0)
+    at = np.concatenate([np.zeros((20, 2)), random.normal(size=(20, 2))]) * 9
+    gross, offset = np.arange(40) < 20, random.normal(size=40)
+    by_move = random.normal(size=(40, 3)) * ~gross[:, None]
+    shapes = [(1, 0), (2, 0)]
+    whole = ErrorModel(at, 0.1, (6.0, 40.0), shapes).evidence(offset, by_move, gross)
+    some = ErrorModel(at[20:], 0.1, (6.0, 40.0), shapes).evidence(offset[20:], by_move[20:])
+    for a, b in zip(whole, some, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-9)

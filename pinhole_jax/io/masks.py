@@ -22,6 +22,7 @@ from .transparency import (
     LIGHT,
     colours_at,
     mask_with_colours,
+    nearest,
     opacity,
     ring,
     shrunk,
@@ -55,10 +56,10 @@ def load_mask(
 
     - None: transparency if it varies, else a grey picture that is mostly black and white. Soft
       edges stay as they are, a JPEG's too: its ringing costs a fit less than a threshold would.
-      Where transparency is all or nothing and shades of one colour hold the soft edge, both count.
-      Label pictures are refused: more than two flat levels, or two colours on transparency. So is
-      a mask that covers its border, as black on white does: it needs `invert` or a way to read it.
-      Two values, such as 25 and 255, become 0 and 255.
+      Where transparency is all or nothing and the colours hold the soft edge, both count; many
+      colours that do are refused. So are label pictures: more than two flat levels, or two colours
+      on transparency. A mask that covers its border, as black on white does, needs `invert` or a
+      way to read it. Two values, such as 25 and 255, become 0 and 255.
     - "alpha": the transparency. "luminance": the brightness, whatever it is.
     - "label=N": the pixels with this grey value or palette entry; edges are hard.
     - "background=COLOR": a photo before a background of one colour, by name or as #rrggbb. The
@@ -294,13 +295,11 @@ def _with_soft_edges(inside: np.ndarray, image: Image, back: np.ndarray) -> np.n
     A pixel beside the edge is a mixture of the background and the object's nearest colour. Its
     coverage is its place between both, in the values as stored.
     """
-    from scipy.spatial import KDTree
-
     deep, far = shrunk(inside, BAND_PX), shrunk(~inside, BAND_PX)
-    places, points = np.argwhere(~(deep | far)), np.argwhere(ring(deep))
+    places = np.argwhere(~(deep | far))
+    pixels, _ = nearest(ring(deep, 0), places)
     mask = np.where(inside, np.uint8(255), np.uint8(0))
-    if len(points) and len(places):
-        pixels = points[KDTree(points).query(places)[1]]
+    if np.any(deep) and len(places):
         whole, mixed = (colours_at(image, x) - back for x in (pixels, places))
         size = np.maximum(np.sum(whole**2, axis=-1), 1e-2)
         share = np.clip(np.sum(mixed * whole, axis=-1) / size, 0, 1)

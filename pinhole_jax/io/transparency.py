@@ -14,6 +14,10 @@ GREY = 8
 EDGE_PX = 3
 #: A share of the pixels that is noise.
 FEW = 0.01
+#: Pixels of a ring are looked for this far from an edge (px).
+NEAR_PX = 8
+#: This many pixels are a fair sample of an edge.
+MOST_PLACES = 4096
 #: An outline that moves by less than this (px) is the same.
 SAME_PX = 0.02
 
@@ -55,7 +59,40 @@ def mask_with_colours(image: Image, opaque: np.ndarray) -> np.ndarray | None:
                 "transparency and colours that disagree; give `mask_from` alpha (--mask-from"
                 " alpha) or `mask_from` luminance (--mask-from luminance), whichever is the object"
             )
+    if _fades(image, opaque):
+        raise ValueError(
+            "transparency that is all or nothing, and colours that hold a soft edge, too: the"
+            " outline of the transparency is too far out; save the soft edge as transparency, or"
+            " give `mask_from` alpha (--mask-from alpha) or `mask_from` luminance (--mask-from"
+            " luminance), whichever is the object"
+        )
     return None
+
+
+def _fades(image: Image, opaque: np.ndarray) -> bool:
+    """Return True for an object of many colours that go over into the background's, of one colour,
+    within the last pixels of a hard edge.
+
+    The pixels along the edge lie between both colours, some near each. Shading that goes on farther
+    in, as a ball's, does not count, nor does a dark rim.
+    """
+    seen = opaque > 0
+    edge = np.argwhere(ring(seen, 0))
+    if not len(edge) or _between(opaque) > FEW * len(edge):
+        return False
+    places = edge[:: max(1, len(edge) // MOST_PLACES)]
+    rings = (ring(~seen, 1), ring(seen, 0), ring(seen, 4), ring(seen, 6))
+    found = [nearest(pixels, places) for pixels in rings]
+    known = np.all([distance < NEAR_PX for _, distance in found], axis=0)
+    if np.count_nonzero(known) < max(16, len(places) // 2):
+        return False
+    colours = [colours_at(image, points[known]) for points, _ in found]
+    back = np.median(colours[0], axis=0)
+    off, at_edge, near, deep = (np.linalg.norm(x - back, axis=1) for x in colours)
+    if np.mean(off > GREY) > FEW or np.median(near) <= GREY or np.mean(near) < 0.9 * np.mean(deep):
+        return False
+    low, middle, high = np.quantile(at_edge / np.maximum(near, 1), (0.25, 0.5, 0.9))
+    return bool(low < 0.4 and middle < 0.65 and high > 0.2)
 
 
 def shrunk(inside: np.ndarray, by: int, neighbours: np.ndarray | None = None) -> np.ndarray:
@@ -66,9 +103,21 @@ def shrunk(inside: np.ndarray, by: int, neighbours: np.ndarray | None = None) ->
     return deep
 
 
-def ring(inside: np.ndarray) -> np.ndarray:
-    """Return the outermost pixels of a part."""
-    return inside & ~shrunk(inside, 1)
+def ring(inside: np.ndarray, depth: int) -> np.ndarray:
+    """Return the pixels that are this far (px) inside."""
+    deep = shrunk(inside, depth)
+    return deep & ~shrunk(deep, 1)
+
+
+def nearest(pixels: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pixel that is nearest to each place (n, 2), and its distance (px)."""
+    from scipy.spatial import KDTree
+
+    points = np.argwhere(pixels)
+    if not len(points):
+        return places, np.full(len(places), np.inf)
+    distance, index = KDTree(points).query(places)
+    return points[index], distance
 
 
 def colours_at(image: Image, places: np.ndarray) -> np.ndarray:
@@ -110,7 +159,7 @@ def _is_same(opaque: np.ndarray, shade: np.ndarray) -> bool:
     premultiplied, or light."""
     parts = ((opaque[part].astype(np.int32), shade[part]) for part in rows(*opaque.shape))
     lost = sum(int(np.sum(np.maximum(a - s - GREY, 0))) for a, s in parts)
-    return lost <= 255 * SAME_PX * int(np.count_nonzero(ring(opaque > 127)))
+    return lost <= 255 * SAME_PX * int(np.count_nonzero(ring(opaque > 127, 0)))
 
 
 def _between(values: np.ndarray) -> int:
