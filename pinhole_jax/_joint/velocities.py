@@ -37,7 +37,7 @@ def velocity(
     """The answer's rate of change, with the views' scenes, targets, weights, mounts and places."""
     problem, state, ends, slopes = found.problem, found.descent.state, [], []
     for k, (view, change) in enumerate(zip(views, moving, strict=True)):
-        vantage = vantage_of_view(problem, k, state)
+        vantage = _vantage_of(problem, k, state)
         arranged = arrangement_of(view.scene, vantage.film.e.dtype, view.mount, view.placed)
         weights = problem.eyes[k].solver.weights
         weight = weights if isinstance(weights, np.ndarray) else weights.image()
@@ -57,8 +57,7 @@ def velocity(
     ]
 
 
-def vantage_of_view(problem: JointProblem, k: int, state: State) -> Vantage:
-    """The vantage of a view at a state, its moves those by the unknowns."""
+def _vantage_of(problem: JointProblem, k: int, state: State) -> Vantage:
     eye = problem.eyes[k]
     name, pose = eye.shot.camera, state.poses[eye.moving]
     unknowns = problem.unknowns_of(k)

@@ -191,10 +191,8 @@ class Eye:
         # (A solver's first moves, and the first numbers that it reports, are those of the pose.)
         by_moves = np.asarray(view.to_reported, float)
         result = np.zeros((by_moves.shape[1], TWIST))
-        part = next((MOTIONS[x] for x in self.solver.freed if x in MOTIONS), slice(0))
-        by_twist = reported_twist(self.standpoint(state).pose[:3, :3])[part, part]
-        n = len(by_twist)
-        result[:n, part] = np.linalg.solve(by_moves[:n, :n], by_twist)
+        by_twist = reported_twist(self.standpoint(state).pose[:3, :3])
+        result[:TWIST] = np.linalg.solve(by_moves[:TWIST, :TWIST], by_twist)
         result[:, 3:] /= self.scale(state)
         return result
 

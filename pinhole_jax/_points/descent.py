@@ -73,11 +73,9 @@ def descend(
 
 def _joined(problem: PointProblem, end: Descent, moved: Mapping[int, State]) -> State:
     """The state in which some views are where they are in states of their own."""
-    poses, lenses = dict(end.state.poses), dict(end.state.lenses)
-    for k, state in moved.items():
-        name = problem.eyes[k].moving
-        poses[name], lenses[name] = state.poses[name], state.lenses[name]
-    return end.state._replace(poses=poses, lenses=lenses)
+    names = {k: problem.eyes[k].shot.camera for k in moved}
+    cameras = {name: moved[k].lenses[name] for k, name in names.items()}
+    return end.state._replace(lenses={**end.state.lenses, **cameras})
 
 
 def _descend_together(

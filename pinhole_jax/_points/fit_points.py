@@ -12,7 +12,7 @@ from .._camera.camera import Camera, check_camera
 from .._camera.poses import pose_of
 from .._files.progress import say, shown
 from .._fit.fit_camera import check_reach, check_steps
-from .._fit.implicit import Slope, check_plain, steps_of, through, velocity_of
+from .._fit.implicit import Slope, check_plain, steps_of, through, vantage_of, velocity_of
 from .._fit.result import (
     CameraResult,
     Progress,
@@ -24,7 +24,6 @@ from .._fit.result import (
 )
 from .._joint.door import owners_of, with_unknowns
 from .._joint.knowledge import bounds_by_name, priors_of
-from .._joint.velocities import vantage_of_view
 from .._joint.views import JointView, State
 from .._numerics.arrays import ArrayLike, Input, checked, is_concrete
 from .._numerics.pointwise import room
@@ -169,12 +168,14 @@ def fit_points(
         problem = _problem(given, scale, cameras, free, common, prior, bounds, max_steps)
         start, robust = problem.start, outlier_px is not None
         begun = {
-            eye.moving: pose_of(begin(matches, eye.canonical(start), robust))
+            eye.shot.camera: begin(matches, eye.canonical(start), robust)
             for eye, matches in zip(problem.eyes, problem.matches, strict=True)
         }
         variance = None if noise_px is None else noise_px**2 / scale
         with shown(progress, "fitting points") as tell:
-            found = descend(problem, start._replace(poses=begun), outlier_px, variance, tell or say)
+            found = descend(
+                problem, start._replace(lenses=begun), outlier_px, variance, tell or say
+            )
         return _reports(found, given.weight), found
 
     inputs = points3d, points2d, weights
@@ -200,8 +201,9 @@ def _velocity(
         more = room(array.shape[1]) - array.shape[1]
         rates.append(jnp.pad(rate, [(0, 0), (0, more), *[(0, 0)] * (rate.ndim - 2)]))
     problem, slopes, vantages = found.problem, [], []
-    for k, matches in enumerate(problem.matches):
-        vantages.append(vantage_of_view(problem, k, found.end.state))
+    for k, (eye, matches) in enumerate(zip(problem.eyes, problem.matches, strict=True)):
+        at, film = eye.canonical(found.end.state), fits[k].camera
+        vantages.append(vantage_of(at, film, pose_of(at), matches.freed))
         changes = PointArrays(*(rate[k] for rate in rates))
         bend, pull = bend_and_pull(vantages[k], matches.given, changes)
         slopes.append(Slope(problem.columns(k), np.asarray(bend, float), pull))
@@ -231,12 +233,10 @@ def _problem(
         matches = Matches.on(film, arrays, freed, limits[name])
         known = owners_of(name, unknowns), name, still, still, still
         eyes.append(PointEye(JointView(Scene(), None, name), None, matches, *known))
-    poses = {name: pose_of(film) for name, film in cameras.items()}
-    lenses = {name: canonical(film) for name, film in cameras.items()}
     problem = PointProblem(
         unknowns=unknowns,
         eyes=eyes,
-        start=State(poses, lenses, {}, {}),
+        start=State({}, {name: canonical(film) for name, film in cameras.items()}, {}, {}),
         cameras=cameras,
         outlier_px=None,
         max_steps=max_steps,
@@ -363,18 +363,17 @@ def _report(
     problem, noise, matches = found.problem, found.noise, found.problem.matches[k]
     at, film = problem.eyes[k].canonical(end.state), problem.cameras[str(k)]
     camera, blind = on_film(at, film), BLIND[problem.dtype]
-    (view, moves), freed, place = end.seen[k], matches.freed, problem.columns(k)
-    labels = labels_of(freed)
+    view, freed, place = end.seen[k].view, matches.freed, problem.columns(k)
+    labels, scale = labels_of(freed), np.asarray(view.scale, float)
     reported = to_units(view.to_reported, freed, camera)
     # (R by moves of this view, all others eliminated.)
     known, slope = solved
-    by_moves = np.linalg.pinv(moves)
-    triangle = np.linalg.pinv(known.root(place)) @ by_moves
+    triangle = np.linalg.pinv(known.root(place)) * scale
     # (As NumPy's: within `grad` JAX's would be traced, and no report could look at them.)
-    along = np.linalg.lstsq(triangle.T, by_moves.T @ slope[place], rcond=None)[0]
+    along = np.linalg.lstsq(triangle.T, slope[place] * scale, rcond=None)[0]
     triangle, ended = without_ended(triangle, at, freed, matches.bounds)
     unseen, weak = weak_directions(triangle, components(freed), axes_of(camera), blind)
-    spread = reported @ moves @ known.by_shared(place) @ beyond
+    spread = reported / scale @ known.by_shared(place) @ beyond
     cov = covariance(triangle, reported, triangle.T @ triangle, blind) + spread @ spread.T
     # (Where nothing shows how points err, nothing is known.)
     is_known = np.isfinite(noise.variance)

@@ -19,13 +19,14 @@ from .._camera.film import FilmPart
 from .._camera.rays import project
 from .._fit.implicit import Vantage
 from .._joint.system import JointProblem, ViewRows
-from .._joint.views import Eye
+from .._joint.views import Eye, Standpoint, State, indices
 from .._numerics.pointwise import padded, room
 from .._numerics.thin_qr import triangle_and_rhs
 from .._scene.scene import Ball, ball_about
 from .._solver.least_squares import Rows
 from .._solver.looks import Sums, View
-from .._solver.moves import Bounds, moved, reported
+from .._solver.moves import Bounds, Move, moved, reported
+from .._solver.parameters import components
 from .._solver.problem import move_about
 
 #: A move of `UNIT_PX` counts as this many residuals of as much, as damping has it. (40 draws of 12
@@ -139,6 +140,12 @@ class Matches(eqx.Module):
         return jnp.where(ahead, jnp.sqrt(jnp.sum(off * off, axis=1)), jnp.inf)
 
     @eqx.filter_jit
+    def stepped(self, camera: Camera, y: Any) -> Camera:
+        """The camera after moves as such."""
+        move = Move(camera, jnp.asarray(self.ball.centre), jnp.ones_like(y), self.bounds)
+        return moved(move, y, self.freed)
+
+    @eqx.filter_jit
     def _look(self, camera: Camera) -> tuple[Array, ...]:
         """R and Q^T r of the residuals (px) by moves, the reported parameters' derivative, the
         moves' sizes, and the sum of squares."""
@@ -160,17 +167,25 @@ class Matches(eqx.Module):
 
 @dataclass(frozen=True, eq=False)
 class PointEye(Eye):
-    """A view of points."""
+    """A view of points: the state's `lenses` are cameras where they stand, poses and all."""
 
     mask: Any
     solver: Any
 
+    def standpoint(self, state: State) -> Standpoint:
+        """The view at a state."""
+        return Standpoint(self.solver, state.lenses[self.shot.camera], self.mount)
+
 
 @dataclass(frozen=True, eq=False)
 class PointProblem(JointProblem):
-    """Views of points as one problem. Priors are weighed by what points err by: `error` (px)."""
+    """Views of points as one problem, whose unknowns are moves of cameras as such.
+
+    Priors are weighed by what points err by: `error` (px).
+    """
 
     error: float = 1.0
+    report = JointProblem.by_own_moves
 
     @property
     def matches(self) -> list[Matches]:
@@ -191,10 +206,20 @@ class PointProblem(JointProblem):
         columns = np.concatenate([*map(self.columns, range(len(self.eyes)))])
         return np.bincount(columns, minlength=self.size) == 1
 
+    def moves_of(self, k: int) -> np.ndarray:
+        """The indices of a view's unknowns among its moves."""
+        freed = self.matches[k].freed
+        return np.concatenate([indices(freed, u.kind) for u in self.unknowns_of(k)])
+
     def noise(self, seen: list[ViewRows]) -> float:
         """What rows of priors err by."""
         del seen
         return self.error
+
+    def rows_of(self, k: int, state: State, view: View) -> ViewRows:
+        """A view, and its moves by the unknowns."""
+        del state
+        return ViewRows(view, np.diag(1 / np.asarray(view.scale, float))[:, self.moves_of(k)])
 
     def sizes(self, seen: list[ViewRows], parts: list[Rows]) -> np.ndarray:
         """The change of each unknown that moves points by `FILM` px: a trust region, without which
@@ -202,8 +227,17 @@ class PointProblem(JointProblem):
         del parts
         result = np.zeros(self.size)
         for k, rows in enumerate(seen):
-            np.maximum.at(result, self.columns(k), FILM * np.linalg.norm(rows.moves, axis=0))
+            np.maximum.at(result, self.columns(k), FILM * np.sum(rows.moves, axis=0))
         return result
+
+    def stepped(self, state: State, x: np.ndarray) -> State:
+        """The state after a step."""
+        cameras = dict(state.lenses)
+        for k, (eye, matches) in enumerate(zip(self.eyes, self.matches, strict=True)):
+            name, y = eye.shot.camera, np.zeros(len(components(matches.freed)), self.dtype)
+            y[self.moves_of(k)] = x[self.columns(k)]
+            cameras[name] = matches.stepped(cameras[name], y)
+        return state._replace(lenses=cameras)
 
 
 @eqx.filter_jit

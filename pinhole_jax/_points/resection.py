@@ -14,7 +14,7 @@ from jaxtyping import Float
 from numpy.polynomial import Polynomial
 
 from .._camera.camera import Camera
-from .._camera.poses import Pose, at_pose, inverse, pose_of, rigid
+from .._camera.poses import inverse, pose_of
 from .._camera.rays import rays_through
 
 #: Three points are of a line where the sine of a corner of theirs is below this.
@@ -27,6 +27,7 @@ NEXT, LAST = [1, 2, 0], [2, 0, 1]
 #: Points whose spread across a plane is below this share of that within are points of the plane.
 FLAT = 1e-3
 
+Pose = tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]
 Points = Float[np.ndarray, "N 3"]
 SeenAt = Float[np.ndarray, "N 2"]
 
@@ -38,12 +39,12 @@ def resect(
     up to four, of each of the `threes` of indices."""
     rays = _rays(camera, seen_at)
     poses = (poses_of_three(points[three], rays[three]) for three in threes)
-    return [at_pose(camera, pose) for some in poses for pose in some]
+    return [_posed(camera, *pose) for some in poses for pose in some]
 
 
 def poses_of_three(points: Float[np.ndarray, "3 3"], rays: Float[np.ndarray, "3 3"]) -> list[Pose]:
-    """Poses in the world of a camera that has three points (rows) on its rays (unit), in front of
-    it: up to four, none of three points of a line.
+    """Rotations and translations that bring three points (rows) onto their rays (unit), in
+    front of the eye: up to four, none of three points of a line.
 
     Where noise leaves no exact pose, two that nearly meet are replaced by what lies between them.
     """
@@ -61,7 +62,7 @@ def poses_of_three(points: Float[np.ndarray, "3 3"], rays: Float[np.ndarray, "3 
         if np.all(depths > 0) and np.max(np.abs(off)) < OFF * sides.max():
             middles = points.mean(axis=0), there.mean(axis=0)
             turn = Rotation.align_vectors(there - middles[1], points - middles[0])[0].as_matrix()
-            poses.append(inverse(rigid(turn, middles[1] - turn @ middles[0])))
+            poses.append((turn, middles[1] - turn @ middles[0]))
     return poses
 
 
@@ -85,7 +86,7 @@ def _depths(sides: np.ndarray, cosines: np.ndarray) -> Iterator[np.ndarray]:
 def triangles(camera: Camera, points: Points, seen_at: SeenAt, most: int) -> np.ndarray:
     """The indices (T, 3) of this many triangles at most, those that are largest in the world
     and where they are seen first."""
-    threes = np.array([*itertools.combinations(range(len(points)), 3)], int).reshape(-1, 3)
+    threes = np.array([*itertools.combinations(range(len(points)), 3)]).reshape(-1, 3)
     edges = [x[threes[:, 1:]] - x[threes[:, :1]] for x in (points, _rays(camera, seen_at))]
     sizes = np.prod([np.linalg.det(x @ x.transpose(0, 2, 1)) for x in edges], axis=0)
     order = np.argsort(-np.round(np.log(np.maximum(sizes, 1e-300)), 9), kind="stable")
@@ -99,17 +100,17 @@ def turn(camera: Camera, points: Points, seen_at: SeenAt) -> Camera:
 
     eye = np.asarray(camera.e, float)
     rotation = Rotation.align_vectors(_rays(camera, seen_at), points - eye)[0].as_matrix()
-    return at_pose(camera, rigid(rotation.T, eye))
+    return _posed(camera, rotation, -rotation @ eye)
 
 
 def shift(camera: Camera, points: Points, seen_at: SeenAt) -> Camera:
     """The camera shifted, its axes as they are, so that it sees points where they are seen:
     least squares of how far they are from their lines of sight."""
-    rotation = pose_of(camera)[:3, :3]
-    rays = _rays(camera, seen_at) @ rotation.T
+    rotation = inverse(pose_of(camera))[:3, :3]
+    rays = _rays(camera, seen_at) @ rotation
     across = np.eye(3) - rays[:, :, None] * rays[:, None]
     eye = np.linalg.lstsq(across.sum(axis=0), np.einsum("nij,nj->i", across, points))[0]
-    return at_pose(camera, rigid(rotation, eye))
+    return _posed(camera, rotation, -rotation @ eye)
 
 
 def plane_of(points: Points) -> tuple[np.ndarray, np.ndarray] | None:
@@ -123,3 +124,9 @@ def _rays(camera: Camera, seen_at: np.ndarray) -> np.ndarray:
     """Unit vectors along the lines of sight, right, down, forward."""
     rays = rays_through(camera, seen_at.astype(camera.e.dtype)).direction
     return np.asarray(rays, float) @ pose_of(camera)[:3, :3]
+
+
+def _posed(camera: Camera, rotation: np.ndarray, translation: np.ndarray) -> Camera:
+    """The camera with `rotation @ x + translation` right, down and forward of the eye."""
+    right, down, forward = rotation
+    return camera.with_pose(-rotation.T @ translation, np.stack([right, -down, forward]))

@@ -3,11 +3,11 @@ a plane, poses of three points of few."""
 
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import numpy as np
 
 from .._camera.axes import angle, axes_of, distinct
 from .._camera.camera import Camera
-from .._camera.poses import pose_of
 from .._joint.views import POSE, State
 from .._rules import RULES
 from .._solver.least_squares import Descent
@@ -20,9 +20,8 @@ from .resection import plane_of, resect, shift, triangles, turn
 #: Draws of three points. Where 40 % are outliers 14 of them have none.
 DRAWS = 64
 #: Up to this many points are few: several poses may explain them; and by this many, spread evenly
-#: among many, there are direct solutions: to begin with from few of the largest triangles, and
-#: from this many where other poses are looked for.
-SCANT, FIRST, TRIANGLES = 8, 2, 6
+#: among many, there are direct solutions, from this many triangles at most.
+SCANT, TRIANGLES = 8, 6
 #: What finds a part of the pose, the rest being known.
 PARTS = {"position": shift, "orientation": turn}
 #: This many descents from other places at most, of this many steps at most.
@@ -52,7 +51,7 @@ def _direct(matches: Matches, start: Camera, robust: bool) -> list[Camera]:
         return [way(start, points, seen_at) for way in by_part]
     random, count = np.random.default_rng(0), len(points)
     draws = [random.permutation(count)[:3] for _ in range(DRAWS)] if robust else []
-    return three_point_cameras(matches, start, FIRST) + resect(start, points, seen_at, draws)
+    return three_point_cameras(matches, start) + resect(start, points, seen_at, draws)
 
 
 def is_few(matches: Matches) -> bool:
@@ -60,13 +59,13 @@ def is_few(matches: Matches) -> bool:
     return len(matches.different()) <= SCANT
 
 
-def three_point_cameras(matches: Matches, camera: Camera, most: int) -> list[Camera]:
-    """A camera in all poses that three of the points have, of this many large triangles at most;
-    of many points, some that are spread evenly among them."""
+def three_point_cameras(matches: Matches, camera: Camera) -> list[Camera]:
+    """A camera in all poses that three of the points have, of large triangles; of many
+    points, some that are spread evenly among them."""
     counts = matches.different()
     some = counts[np.unique(np.linspace(0, len(counts) - 1, SCANT).round().astype(int))]
     given = camera, *matches.in_heights(some)
-    return resect(*given, triangles(*given, most))
+    return resect(*given, triangles(*given, TRIANGLES))
 
 
 def reversed_depths(matches: Matches, camera: Camera) -> Camera | None:
@@ -104,8 +103,10 @@ class _LoneView(NamedTuple):
 
     def posed(self, state: State, camera: Camera) -> State:
         """The state in which it has a camera's pose."""
-        name = self.problem.eyes[0].moving
-        return state._replace(poses={**state.poses, name: pose_of(camera)})
+        pose = lambda c: (c.e, c.p, c.u)
+        name = self.problem.eyes[0].shot.camera
+        here = eqx.tree_at(pose, state.lenses[name], pose(camera))
+        return state._replace(lenses={**state.lenses, name: here})
 
     def checked(self, place: Descent) -> Descent:
         """The place, its squares infinite where points are behind the eye or nowhere."""
@@ -114,9 +115,8 @@ class _LoneView(NamedTuple):
 
     def is_blind(self, here: Descent) -> bool:
         """Whether points do not show some direction: places along it are the same."""
-        rows = self.problem.view_rows(0, here.seen[0]).rows
-        size = np.maximum(np.linalg.norm(rows, axis=0), np.finfo(float).tiny)
-        values = np.linalg.svd(rows / size, compute_uv=False)
+        triangle = here.seen[0].view.triangle[:, self.problem.moves_of(0)]
+        values = np.linalg.svd(triangle, compute_uv=False)
         return not values[-1] > BLIND[self.matches.dtype] * values[0]
 
     def starts(self, begin: Camera, explained: bool) -> list[Camera]:
@@ -125,7 +125,7 @@ class _LoneView(NamedTuple):
         matches, reverse = self.matches, reversed_depths(self.matches, begin)
         result, of_three = [] if reverse is None else [reverse], len(matches.counts) == 3
         if is_few(matches) or not explained:
-            of_points = three_point_cameras(matches, begin, TRIANGLES)
+            of_points = three_point_cameras(matches, begin)
             result += [self.user, *sorted(of_points, key=matches.squares)]
         if of_three:
             result.sort(key=matches.squares)
