@@ -406,9 +406,12 @@ def panda() -> Iterator[Split]:
 
 
 def outlines(items: Iterable[Item], free: tuple[str, ...] = ("pose",)) -> Iterator[Split]:
-    """Yield alternate blocks of each lone outline."""
-    for _, scene, mask, truth, _ in items:
+    """Yield alternate blocks of each lone outline, but for misfits: they claim no error bars."""
+    for name, scene, mask, truth, _ in items:
         whole = pj.fit_camera(scene, mask, off(truth, scene), free)
+        if whole.status == "misfit":
+            print(f"{name}: a misfit", flush=True)
+            continue
         refit = lambda w, s=scene, m=mask, c=whole.camera: pj.fit_camera(s, m, c, free, weight=w)
         yield refit, pj.outline_halves(mask, whole.mask_error)
 

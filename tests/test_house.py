@@ -330,8 +330,9 @@ BODY = "\n".join(f"  x = {k}" for k in range(60))
 DOCSTRING = f"def f():\n  '''A\n\n  docstring.'''\n{BODY[8:]}"
 NESTED = "f'{f'{x}'}' + 1\n" if sys.version_info >= (3, 12) else "f'{x}' + 1\n"
 LONG = " ".join(["so"] * 31)
-FIT = "pinhole_jax/_fit"
-PATH, CPP_PATH, TEST = f"{FIT}/a.py", "x/a.cc", "tests/a.py"  # no real files
+#: No real files.
+FIT, TESTS = "pinhole_jax/_fit", "tests"
+PATH, CPP_PATH, TEST = f"{FIT}/a.py", "x/a.cc", f"{TESTS}/a.py"
 
 
 @pytest.mark.parametrize(
@@ -361,7 +362,7 @@ PATH, CPP_PATH, TEST = f"{FIT}/a.py", "x/a.cc", "tests/a.py"  # no real files
         (TEST, f'def f(): "{LONG}"', LONG),
         (TEST, f'def f(): "{LONG[6:]}. On."', ""),
         (PATH, "class _PointsSeen: ...\nclass Speed: ...", "Seen"),
-        ("pinhole_jax/cut_and_turned.py", "", "Turned"),
+        (f"{FIT}/cut_and_turned.py", "", "Turned"),
         (TEST, "def office(): ...\ndef _one(): ...", "_one"),
         (TEST, "def test_a_hole(): ...", "test_a_"),
         (TEST, "def test_itself(): ...\ndef the_hole(): ...", ""),
