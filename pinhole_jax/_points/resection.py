@@ -86,7 +86,7 @@ def _depths(sides: np.ndarray, cosines: np.ndarray) -> Iterator[np.ndarray]:
 def triangles(camera: Camera, points: Points, seen_at: SeenAt, most: int) -> np.ndarray:
     """The indices (T, 3) of this many triangles at most, those that are largest in the world
     and where they are seen first."""
-    threes = np.array([*itertools.combinations(range(len(points)), 3)]).reshape(-1, 3)
+    threes = np.array([*itertools.combinations(range(len(points)), 3)], int).reshape(-1, 3)
     edges = [x[threes[:, 1:]] - x[threes[:, :1]] for x in (points, _rays(camera, seen_at))]
     sizes = np.prod([np.linalg.det(x @ x.transpose(0, 2, 1)) for x in edges], axis=0)
     order = np.argsort(-np.round(np.log(np.maximum(sizes, 1e-300)), 9), kind="stable")
