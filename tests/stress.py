@@ -12,8 +12,9 @@ from decimal import Decimal
 from typing import NamedTuple
 
 import numpy as np
+import shapely
 import trimesh
-from oracles import clipped_polygon, filled, union_per_pixel
+from oracles import clipped, filled, sides_of_frame, union_per_pixel
 
 import pinhole_jax as pj
 
@@ -276,6 +277,15 @@ def extended(x: np.ndarray) -> np.ndarray:
     return high.astype(Exact) + (x - decimals(high)).astype(float)
 
 
+def within_frame(corners: np.ndarray, W: int, H: int) -> np.ndarray:
+    """Return the part (n, 2) of a polygon before the eye and in the frame (a pixel larger)."""
+    corners = extended(corners)
+    planes = np.array([*sides_of_frame(W, H), [0, 0, 1]], Exact)
+    corners = clipped(corners / np.abs(corners).max(), planes)
+    corners = corners[corners[:, 2] > 0] if len(corners) else corners.reshape(0, 3)
+    return (corners[:, :2] / corners[:, 2:]).astype(float)
+
+
 def sphere_oracle(camera: pj.Camera, center: np.ndarray, radius: float) -> np.ndarray:
     """Return the coverage of a sphere before the eye, by Green's theorem along its outline.
 
@@ -318,9 +328,10 @@ def sphere_oracle(camera: pj.Camera, center: np.ndarray, radius: float) -> np.nd
 
 def oracle(camera: pj.Camera, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Return the coverage of the triangles' union, pixel by pixel (shapely)."""
-    points = extended(film_points(camera, vertices))[faces]
-    outlines = [clipped_polygon(corners, camera.W, camera.H) for corners in points]
-    return union_per_pixel([x for x in outlines if x is not None], camera.W, camera.H)
+    points = film_points(camera, vertices)[faces]
+    outlines = [within_frame(corners, camera.W, camera.H) for corners in points]
+    hulls = [shapely.convex_hull(shapely.multipoints(x)) for x in outlines if len(x) >= 3]
+    return union_per_pixel(hulls, camera.W, camera.H)
 
 
 def worst(view: View, dtype: type) -> float:
