@@ -1,6 +1,6 @@
 """Programs side by side: as many at once as there are cores, the same as one after the other."""
 
-from threading import Barrier, get_ident
+from threading import Barrier, Lock, get_ident
 
 import jax
 import jax.numpy as jnp
@@ -49,3 +49,21 @@ def test_errors_in_threads_are_raised():
     assert in_threads(ask, [1, 2, 3], lambda x: 0) == [1, 2, 3]
     with pytest.raises(ValueError, match="without faces"):
         in_threads(ask, [1, 2, 4], lambda x: 0)
+
+
+def test_first_call_of_each_program_runs_alone():
+    """Several threads would compile the same."""
+    running, met, lock = set(), {}, Lock()
+
+    def look(x):
+        with lock:
+            running.add(x)
+        met[x] = len(running)
+        with lock:
+            running.discard(x)
+        return x
+
+    given = ["a1", "a2", "b1", "a3", "b2"]
+    assert in_threads(look, given, lambda x: x[0]) == given
+    assert met["a1"] == met["b1"] == 1
+    assert threads._compiled == {"a", "b"}
