@@ -162,15 +162,15 @@ def lowest_versions(session: nox.Session) -> None:
     constraints.write_text("\n".join(lowest()), encoding="utf-8")
     session.install("-e", ".[test]", "--constraint", str(constraints))
     session.run("python", "--version")
-    first = "import camera rays distortion scene io files formats parameters metrics polygons kinds"
+    first = "import camera rays distortion scene io files formats_files parameters metrics polygons"
     # All annotations are checked, not only those that tell shapes.
     checked = "--jaxtyping-packages=pinhole_jax,beartype.beartype"
-    pytest(session, *files(f"{first} main"), checked)
+    pytest(session, *files(f"{first} kinds main"), checked)
 
 
 #: What a newer Python, and the newer JAX and NumPy for it, could change: also what scikit-image
 #: draws, shapely cuts and pycollada reads; coverage, gradients and fits by their values.
-NEWER = [*DRAWN, *files("import camera scene io formats main native walker trace robots")]
+NEWER = [*DRAWN, *files("import camera scene io formats_files main native walker trace robots")]
 
 
 @apart(name="newest", python=newest())
