@@ -33,11 +33,10 @@ SeenAt = Float[np.ndarray, "N 2"]
 
 
 def resect(
-    camera: Camera, points: Points, seen_at: SeenAt, threes: Iterable[np.ndarray]
+    camera: Camera, points: Points, rays: Points, threes: Iterable[np.ndarray]
 ) -> list[Camera]:
-    """The camera in all poses that see three of the points where they are seen: the only pose, or
+    """The camera in all poses that see three of the points along their rays: the only pose, or
     up to four, of each of the `threes` of indices."""
-    rays = _rays(camera, seen_at)
     poses = (poses_of_three(points[three], rays[three]) for three in threes)
     return [_posed(camera, *pose) for some in poses for pose in some]
 
@@ -67,8 +66,8 @@ def poses_of_three(points: Float[np.ndarray, "3 3"], rays: Float[np.ndarray, "3 
 
 
 def _depths(sides: np.ndarray, cosines: np.ndarray) -> Iterator[np.ndarray]:
-    """Distances (3,) from the eye by the real parts of the roots of Grunert's
-    quartic: the ratios of the third distance to the first."""
+    """Distances (3,) from the eye by the real parts of the roots of Grunert's quartic: the ratios
+    of the third distance to the first."""
     (a, b, c), (x, y, z) = sides, cosines
     p = (a - c) / b
     # The second distance's ratio is `over / under`, by two sides; the third side is the quartic.
@@ -83,11 +82,11 @@ def _depths(sides: np.ndarray, cosines: np.ndarray) -> Iterator[np.ndarray]:
             yield np.sqrt(first) * np.array([1, u, v])
 
 
-def triangles(camera: Camera, points: Points, seen_at: SeenAt, most: int) -> np.ndarray:
+def triangles(points: Points, rays: Points, most: int) -> np.ndarray:
     """The indices (T, 3) of this many triangles at most, those that are largest in the world
     and where they are seen first."""
     threes = np.array([*itertools.combinations(range(len(points)), 3)], int).reshape(-1, 3)
-    edges = [x[threes[:, 1:]] - x[threes[:, :1]] for x in (points, _rays(camera, seen_at))]
+    edges = [x[threes[:, 1:]] - x[threes[:, :1]] for x in (points, rays)]
     sizes = np.prod([np.linalg.det(x @ x.transpose(0, 2, 1)) for x in edges], axis=0)
     order = np.argsort(-np.round(np.log(np.maximum(sizes, 1e-300)), 9), kind="stable")
     return threes[order[:most]]
@@ -99,7 +98,7 @@ def turn(camera: Camera, points: Points, seen_at: SeenAt) -> Camera:
     from scipy.spatial.transform import Rotation
 
     eye = np.asarray(camera.e, float)
-    rotation = Rotation.align_vectors(_rays(camera, seen_at), points - eye)[0].as_matrix()
+    rotation = Rotation.align_vectors(lines_of_sight(camera, seen_at), points - eye)[0].as_matrix()
     return _posed(camera, rotation, -rotation @ eye)
 
 
@@ -107,7 +106,7 @@ def shift(camera: Camera, points: Points, seen_at: SeenAt) -> Camera:
     """The camera shifted, its axes as they are, so that it sees points where they are seen:
     least squares of how far they are from their lines of sight."""
     rotation = inverse(pose_of(camera))[:3, :3]
-    rays = _rays(camera, seen_at) @ rotation
+    rays = lines_of_sight(camera, seen_at) @ rotation
     across = np.eye(3) - rays[:, :, None] * rays[:, None]
     eye = np.linalg.lstsq(across.sum(axis=0), np.einsum("nij,nj->i", across, points))[0]
     return _posed(camera, rotation, -rotation @ eye)
@@ -120,7 +119,7 @@ def plane_of(points: Points) -> tuple[np.ndarray, np.ndarray] | None:
     return (middle, axes[-1]) if spread[2:].sum() <= FLAT * spread[0] < spread[1] else None
 
 
-def _rays(camera: Camera, seen_at: np.ndarray) -> np.ndarray:
+def lines_of_sight(camera: Camera, seen_at: np.ndarray) -> np.ndarray:
     """Unit vectors along the lines of sight, right, down, forward."""
     rays = rays_through(camera, seen_at.astype(camera.e.dtype)).direction
     return np.asarray(rays, float) @ pose_of(camera)[:3, :3]

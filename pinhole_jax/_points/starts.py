@@ -15,7 +15,7 @@ from .._solver.problem import FINE_PX
 from .._solver.uncertainty import BLIND
 from .noise import Noise, exact_squares
 from .reprojection import Matches, PointProblem
-from .resection import plane_of, resect, shift, triangles, turn
+from .resection import lines_of_sight, plane_of, resect, shift, triangles, turn
 
 #: Draws of three points. Where 40 % are outliers 14 of them have none.
 DRAWS = 64
@@ -49,9 +49,12 @@ def _direct(matches: Matches, start: Camera, robust: bool) -> list[Camera]:
     by_part = [way for name, way in PARTS.items() if name in matches.freed]
     if by_part or POSE not in matches.freed:
         return [way(start, points, seen_at) for way in by_part]
-    random, count = np.random.default_rng(0), len(points)
-    draws = [random.permutation(count)[:3] for _ in range(DRAWS)] if robust else []
-    return three_point_cameras(matches, start) + resect(start, points, seen_at, draws)
+    found = three_point_cameras(matches, start)
+    if robust:
+        random = np.random.default_rng(0)
+        draws = (random.permutation(len(points))[:3] for _ in range(DRAWS))
+        found += resect(start, points, lines_of_sight(start, seen_at), draws)
+    return found
 
 
 def is_few(matches: Matches) -> bool:
@@ -64,8 +67,9 @@ def three_point_cameras(matches: Matches, camera: Camera) -> list[Camera]:
     points, some that are spread evenly among them."""
     counts = matches.different()
     some = counts[np.unique(np.linspace(0, len(counts) - 1, SCANT).round().astype(int))]
-    given = camera, *matches.in_heights(some)
-    return resect(*given, triangles(*given, TRIANGLES))
+    points, seen_at = matches.in_heights(some)
+    rays = lines_of_sight(camera, seen_at)
+    return resect(camera, points, rays, triangles(points, rays, TRIANGLES))
 
 
 def reversed_depths(matches: Matches, camera: Camera) -> Camera | None:
