@@ -1,5 +1,6 @@
 """`fit_many`: any number of records through any executor; a stopped run resumes."""
 
+import itertools
 import json
 import os
 import time
@@ -18,6 +19,8 @@ from .records import Record, check_id, plain_record, settings_of, shard_of
 from .rows import NO_FIT, Row
 from .worker import TOKEN, Setup
 
+#: This many records at a time are sorted by mesh, so that workers open few meshes at once.
+WINDOW = 4096
 #: The default time limit of a record (s).
 TIME_LIMIT = 600.0
 
@@ -111,8 +114,8 @@ def fit_many(
         raise ValueError("`executor`: expected None with `track`, got one")
     results = None if out is None else Results(out)
     there = (row for row in results or () if row["status"] not in retry)
-    done = {row["id"]: _settings_text(json.loads(row["record"])) for row in there}
-    is_done = partial(_is_done, done=done)
+    done = {row["id"]: _settings_key(json.loads(row["record"])) for row in there}
+    is_done = partial(_is_done, done=done, results=results)
     total, before = None, 0
     if not isinstance(items, Iterator):  # all ids are checked: none ends a run of hours
         finished = [is_done(record) for record in _shard_records(items, shard)]
@@ -126,7 +129,7 @@ def fit_many(
                     rows_by_id[record["id"]] = {}  # its place
                 yield plain_record(record)  # processes can be handed plain values only
 
-    waiting, setup = unfinished(), Setup(cached, time_limit, TOKEN)
+    waiting, setup = _by_mesh(unfinished()), Setup(cached, time_limit, TOKEN)
     rows = tracked_rows(waiting, setup) if track else rows_of(waiting, executor, workers, setup)
     writer = None if results is None else Writer(results.folder)
     statuses: Counter[str] = Counter()
@@ -185,18 +188,27 @@ def _shard_records(items: Iterable[Record], shard: tuple[int, int]) -> Iterator[
             yield record
 
 
-def _settings_text(record: Record) -> str:
-    """Return a plain record's settings as a line of JSON."""
-    return json.dumps(settings_of(record), sort_keys=True)
+def _settings_key(record: Record) -> int:
+    """Return a number that tells a plain record's settings from others."""
+    return hash(json.dumps(settings_of(record), sort_keys=True))
 
 
-def _is_done(record: Record, done: Mapping[str, str]) -> bool:
+def _is_done(record: Record, done: Mapping[str, int], results: Results | None) -> bool:
     """Return True for a finished record; raise ValueError if its settings have changed."""
     id = record["id"]
-    if id not in done or done[id] == (text := _settings_text(plain_record(record))):
-        return id in done
-    now, then = json.loads(text), json.loads(done[id])
+    if results is None or id not in done:
+        return False
+    plain = plain_record(record)
+    if done[id] == _settings_key(plain):
+        return True
+    now, then = settings_of(plain), settings_of(json.loads(results.row(id)["record"]))
     other = next(name for name in now | then if now.get(name) != then.get(name))
     values = f"{brief(then.get(other))}, and now {brief(now.get(other))}"
     words = f"expected unchanged records, got {id!r}, whose {other!r} was {values}"
     raise ValueError(f"`out`: {words}; use another folder for new settings")
+
+
+def _by_mesh(records: Iterator[Record]) -> Iterator[Record]:
+    """Yield records, some thousands at a time sorted by mesh, which is then opened once."""
+    while window := list(itertools.islice(records, WINDOW)):
+        yield from sorted(window, key=lambda record: str(record.get("mesh")))

@@ -22,8 +22,8 @@ Size = tuple[int, int]
 #: A field of view (degrees) below `LEAST_FOV` is a mistake. A principal point farther from the
 #: middle than this share of the picture's width is unusual.
 LEAST_FOV, MOST_OFF = 1.0, 0.1
-#: This many meshes are kept: all objects of most data sets.
-MESHES = 64
+#: This many meshes are kept.
+MESHES = 8
 #: Threads read one mesh after another: the mesh is kept, and its warnings are caught.
 _reading = threading.Lock()
 
