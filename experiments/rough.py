@@ -175,8 +175,7 @@ def photos(asked: Options) -> dict:
 
 
 def stress(asked: Options) -> dict:
-    here = Path(__file__).parent
-    sys.path[:0] = [str(here.parent / "tests"), str(here / "reference")]
+    sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
     import stress
 
     def worst(number: int, name: str, kind: str) -> dict:
