@@ -117,6 +117,7 @@ class Rules:
     astray: float = 0.1
     #: While cameras are refined, those are left whose logarithm is less by this.
     hopeless: float = 30.0
+
     # What stands in front of the object
 
     #: Directions in which something may stand, and the share of the edge that it may take there.
