@@ -1,4 +1,5 @@
-"""Random bits as scenes, for the compiled library: no call ends the process, each image is finite.
+"""Random bits as scenes, for the compiled library: no call ends the process, each image is finite;
+and random meshes, drawn as arrays draw them.
 
     python tests/fuzz_native.py --seconds 60 [--seed 0]
 
@@ -13,17 +14,22 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.testing import assert_allclose
+from oracles import filled, random_camera
 from slopes import both_ways
 
+import pinhole_jax as pj
+from pinhole_jax._camera.camera import film_map
 from pinhole_jax._native.library import is_available
 from pinhole_jax._native.look import MaskLevel, Sight, look, pixels
-from pinhole_jax._native.rasteriser import MODELS, Variables, _image
+from pinhole_jax._native.rasteriser import MODELS, Variables, _call, _image, coverage, operands
+from pinhole_jax._silhouette.silhouette import in_arrays
 
 #: As many shapes of views are tried.
 SHAPES = 60
 #: How many numbers each model of a lens has, with focal lengths and principal point.
 NUMBERS = {0: 0, **dict(zip(MODELS.values(), (9, 12, 8), strict=True))}
-LOOK = eqx.filter_jit(look)
+LOOK, CALL = eqx.filter_jit(look), eqx.filter_jit(_call)
 
 
 class Random:
@@ -114,6 +120,29 @@ def drawn(random: Random) -> None:
     moving = jax.tree.map(jnp.asarray, (variables, constants, directions, random.reals(H, W)))
     image, _, _ = pushed_and_pulled((view.model, (H, W)), *moving)
     assert np.all((np.asarray(image) >= 0) & (np.asarray(image) <= 1)), image
+    # The edges of a contour, which an image leaves to its derivative, are not checked either.
+    n = random.count(9, least=1)
+    edges = np.append(random.integers(n + 1, 3), random.integers(90, n))
+    given = [*operands(*moving[:2]), jnp.asarray(edges)]
+    CALL("image_push", view.model, [image], *given, *moving[2])
+    CALL("image_pull", view.model, [*variables], *given, moving[3])
+
+
+@jax.jit
+def by_both(e, camera, mesh, weight):
+    """The image, its change and its gradient: of the library, and of arrays."""
+    image = lambda draw: lambda e: draw(film_map(camera.replace(e=e)), pj.Scene(mesh))
+    return [both_ways(image(draw), e, jnp.ones(3), weight) for draw in (coverage, in_arrays)]
+
+
+def compared(random: Random) -> None:
+    """A mesh of faces that share few vertices: its edges are of any number of them."""
+    faces = random.bits.integers(0, 12, (20, 3))
+    mesh = filled(random.bits.normal(size=(12, 3)), faces, 40)
+    camera, weight = random_camera(random.bits, 24, 18), random.bits.normal(size=(18, 24))
+    pairs = zip(*by_both(camera.e, camera, mesh, weight), strict=True)
+    for (ours, theirs), close in zip(pairs, (1e-12, 1e-9, 1e-9), strict=True):
+        assert_allclose(ours, theirs, atol=close * max(1, np.abs(theirs).max()))
 
 
 def looked(random: Random) -> None:
@@ -151,7 +180,7 @@ def main() -> None:
     while time.monotonic() < end:
         if given.verbose:
             print(f"seed {seed}", flush=True)
-        (looked if seed % 4 == 3 else drawn)(Random(seed))
+        (drawn, compared, drawn, looked)[seed % 4](Random(seed))
         seed += 1
     print(f"{seed - given.seed} scenes from seed {given.seed}: none ended the process")
 
