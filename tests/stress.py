@@ -12,9 +12,9 @@ from decimal import Decimal
 from typing import NamedTuple
 
 import numpy as np
-import shapely
 import trimesh
-from oracles import clipped, filled, sides_of_frame, union_per_pixel
+from _oracle import clipped
+from oracles import filled, union_per_pixel
 
 import pinhole_jax as pj
 
@@ -277,15 +277,6 @@ def extended(x: np.ndarray) -> np.ndarray:
     return high.astype(Exact) + (x - decimals(high)).astype(float)
 
 
-def within_frame(corners: np.ndarray, W: int, H: int) -> np.ndarray:
-    """Return the part (n, 2) of a polygon before the eye and in the frame (a pixel larger)."""
-    corners = extended(corners)
-    planes = np.array([*sides_of_frame(W, H), [0, 0, 1]], Exact)
-    corners = clipped(corners / np.abs(corners).max(), planes)
-    corners = corners[corners[:, 2] > 0] if len(corners) else corners.reshape(0, 3)
-    return (corners[:, :2] / corners[:, 2:]).astype(float)
-
-
 def sphere_oracle(camera: pj.Camera, center: np.ndarray, radius: float) -> np.ndarray:
     """Return the coverage of a sphere before the eye, by Green's theorem along its outline.
 
@@ -328,10 +319,9 @@ def sphere_oracle(camera: pj.Camera, center: np.ndarray, radius: float) -> np.nd
 
 def oracle(camera: pj.Camera, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Return the coverage of the triangles' union, pixel by pixel (shapely)."""
-    points = film_points(camera, vertices)[faces]
-    outlines = [within_frame(corners, camera.W, camera.H) for corners in points]
-    hulls = [shapely.convex_hull(shapely.multipoints(x)) for x in outlines if len(x) >= 3]
-    return union_per_pixel(hulls, camera.W, camera.H)
+    points = extended(film_points(camera, vertices))
+    polygons = [polygon for face in faces for polygon in clipped(points[face], camera)]
+    return union_per_pixel(polygons, camera.W, camera.H)
 
 
 def worst(view: View, dtype: type) -> float:
