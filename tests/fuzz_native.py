@@ -128,21 +128,36 @@ def drawn(random: Random) -> None:
     CALL("image_pull", view.model, [*variables], *given, moving[3])
 
 
-@jax.jit
-def by_both(e, camera, mesh, weight):
-    """The image, its change and its gradient: of the library, and of arrays."""
-    image = lambda draw: lambda e: draw(film_map(camera.replace(e=e)), pj.Scene(mesh))
-    return [both_ways(image(draw), e, jnp.ones(3), weight) for draw in (coverage, in_arrays)]
+@eqx.filter_jit
+def by_both(camera, scene, ways, weight):
+    """The image, its change and its gradient by the eye and the scene: the library's, arrays'."""
+    moving, held = eqx.partition((camera.e, scene), eqx.is_inexact_array)
+
+    def found(draw):
+        def image(moving):
+            e, scene = eqx.combine(moving, held)
+            return draw(film_map(camera.replace(e=e)), scene)
+
+        return jax.tree.leaves(both_ways(image, moving, ways, weight))
+
+    return found(coverage), found(in_arrays)
+
+
+def compare(camera, scene, random, close) -> None:
+    """Assert that the library draws as arrays do: to this many px^2, of slopes 2000 times that."""
+    normal = lambda x: jnp.asarray(random.normal(size=x.shape))
+    ways = jax.tree.map(normal, eqx.filter((camera.e, scene), eqx.is_inexact_array))
+    weight = jnp.asarray(random.normal(size=(camera.H, camera.W)))
+    for number, (a, b) in enumerate(zip(*by_both(camera, scene, ways, weight), strict=True)):
+        most = 2000 * close * max(1, np.abs(b).max()) if number else close
+        assert_allclose(a, b, rtol=0, atol=most)
 
 
 def compared(random: Random) -> None:
     """A mesh of faces that share few vertices: its edges are of any number of them."""
     faces = random.bits.integers(0, 12, (20, 3))
     mesh = filled(random.bits.normal(size=(12, 3)), faces, 40)
-    camera, weight = random_camera(random.bits, 24, 18), random.bits.normal(size=(18, 24))
-    pairs = zip(*by_both(camera.e, camera, mesh, weight), strict=True)
-    for (ours, theirs), close in zip(pairs, (1e-12, 1e-9, 1e-9), strict=True):
-        assert_allclose(ours, theirs, atol=close * max(1, np.abs(theirs).max()))
+    compare(random_camera(random.bits, 24, 18), pj.Scene(mesh), random.bits, 1e-12)
 
 
 def looked(random: Random) -> None:

@@ -1,18 +1,22 @@
 """Independent answers: unions of polygons (`_oracle`), central differences."""
 
+import sys
 from contextlib import suppress
+from pathlib import Path
 from types import SimpleNamespace
 
-import _oracle
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import shapely
-from _scenes import View
 from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
+
+sys.path.append(str(Path(__file__).parents[1] / "experiments" / "reference"))
+import _oracle
+from _scenes import View
 
 
 def view_of(camera: pj.Camera, scene: pj.Scene) -> View:

@@ -13,8 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 import trimesh
-from _oracle import clipped
-from oracles import filled, union_per_pixel
+from oracles import _oracle, filled, union_per_pixel
 
 import pinhole_jax as pj
 
@@ -320,7 +319,7 @@ def sphere_oracle(camera: pj.Camera, center: np.ndarray, radius: float) -> np.nd
 def oracle(camera: pj.Camera, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Return the coverage of the triangles' union, pixel by pixel (shapely)."""
     points = extended(film_points(camera, vertices))
-    polygons = [polygon for face in faces for polygon in clipped(points[face], camera)]
+    polygons = [polygon for face in faces for polygon in _oracle.clipped(points[face], camera)]
     return union_per_pixel(polygons, camera.W, camera.H)
 
 

@@ -42,6 +42,7 @@ def test_gauge_changes_no_view():
     assert_allclose(pj.camera_basis(camera), pj.camera_basis(other), atol=1e-15)
     points = [[0.3, 0.2, 0.1]]
     assert_allclose(pj.project(camera, points), pj.project(other, points), atol=1e-13)
+    assert_allclose(pj.pose_error(camera, other), 0, atol=1e-15)
 
 
 def test_focal_length_is_seen_in_K_and_can_be_changed_alone():

@@ -9,8 +9,6 @@ from results import NAMES, fit_at
 from scipy.stats import kstest
 
 import pinhole_jax as pj
-from pinhole_jax._camera.poses import at_pose, exponential, pose_of
-from pinhole_jax._solver.moves import displaced
 
 CAMERA = usual_camera()
 #: Turns and shifts that go together, as those of a small object far away do.
@@ -24,10 +22,8 @@ def fit_of(camera, covariance=COVARIANCE, names=NAMES):
 
 
 def moved(turn=(0, 0, 0), shift=(0, 0, 0)):
-    """CAMERA turned about, and shifted along, its axes right, up, forward (OpenCV's frame)."""
-    down = np.array([1, -1, 1])
-    twist = 1.0 * np.concatenate([down * turn, down * shift])
-    return at_pose(CAMERA, pose_of(CAMERA) @ exponential(twist))
+    """CAMERA turned about, and shifted along, its axes right, up, forward."""
+    return fit_of(CAMERA).displaced([*turn, *(shift @ np.stack(pj.camera_basis(CAMERA))), 0])
 
 
 def drift_to(camera, *given):
@@ -61,7 +57,7 @@ def test_drift_along_the_axes_is_said_with_their_names():
 def test_drift_of_a_still_camera_is_as_rare_as_chance(both):
     random = np.random.default_rng(1)
     root = np.linalg.cholesky(COVARIANCE + 1e-14 * np.eye(7))
-    around = lambda: displaced(CAMERA, NAMES, root @ random.normal(size=7))
+    around = lambda: fit_of(CAMERA).displaced(root @ random.normal(size=7))
     reference = lambda: fit_of(around()) if both else CAMERA
     sigmas = [pj.drift(fit_of(around()), reference()).sigma for _ in range(200)]
     # |x| of a normal number x.
@@ -72,7 +68,8 @@ def test_drift_of_a_still_camera_is_as_rare_as_chance(both):
 def test_errors_that_go_together_count_once():
     """A move along the widest direction is likely, one across is not, though it is no longer."""
     values, vectors = np.linalg.eigh(COVARIANCE[:6, :6])
-    along, across = (drift_to(displaced(CAMERA, NAMES[:6], 2e-3 * vectors[:, k])) for k in (5, 0))
+    pose = fit_of(CAMERA, COVARIANCE, NAMES[:6]).displaced
+    along, across = (drift_to(pose(2e-3 * vectors[:, k])) for k in (5, 0))
     assert not along.moved
     assert across.moved
     assert str(along).startswith("not moved: ")
@@ -85,7 +82,7 @@ def test_parameters_held_in_both_fits_add_no_error():
     along = np.array([0, 0, 0, 0, 0, 5.0, 0.5])  # phi against the distance
     whole = np.diag([1e-6] * 3 + [1e-4] * 4) + np.outer(along, along)
     rest = np.linalg.inv(np.linalg.inv(whole)[:6, :6])
-    there = displaced(CAMERA, NAMES[:6], np.array([0, 0, 0, 0, 0, 3.0]))
+    there = fit_of(CAMERA).displaced([0, 0, 0, 0, 0, 3.0, 0])
     before = fit_of(CAMERA, whole)
     assert pj.drift(fit_of(there, rest, NAMES[:6]), before).sigma > 5
     # With phi free in both, it might be phi.

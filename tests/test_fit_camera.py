@@ -161,7 +161,7 @@ def test_meshes_and_images_of_similar_size_share_compiled_programs():
     programs = [descended._cached._cache_size()]
     for subdivisions, size in ((2, (300, 160)), (3, (90, 84))):
         other = pj.Scene(shapes.bumpy(subdivisions, seed=1))
-        camera = pj.Camera(CAMERA.e, CAMERA.p, CAMERA.u, 0.6, 1.0, *size)
+        camera = usual_camera(*size)
         pj.fit_camera(other, drawn(camera, other), turned(camera, [1, 2, 3], 5))
     assert programs == [descended._cached._cache_size()]
 

@@ -10,14 +10,14 @@ import pytest
 import trimesh
 from chosen import first
 from numpy.testing import assert_allclose, assert_array_equal
-from oracles import central_difference
+from oracles import central_difference, usual_camera
 from PIL import Image
 
 import pinhole_jax as pj
 from pinhole_jax import formats, shapes
 
 W, H = 16, 12
-CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.3, W, H)
+CAMERA = usual_camera(W, H).replace(d=1.3)
 WALL = np.array([[-9.0, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]])
 FACES = np.array([[0, 1, 2], [0, 2, 3]])
 

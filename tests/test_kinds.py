@@ -1,29 +1,21 @@
 """What a mask tells of how it was made, and so of the residual that a right camera leaves."""
 
-import io
-
 import numpy as np
 import pytest
-from oracles import drawn
-from PIL import Image
+from honesty import jpeg
+from oracles import drawn, usual_camera
 from scipy.ndimage import gaussian_filter
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._mask.kinds import kind_of
 
-CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 128, 128)
+CAMERA = usual_camera(128, 128)
 
 
 @pytest.fixture(scope="module")
 def mask():
     return drawn(CAMERA, pj.Scene(mesh=shapes.bumpy(3)))
-
-
-def jpeg(mask):
-    data = io.BytesIO()
-    Image.fromarray(bytes_of(mask)).save(data, "JPEG", quality=30)
-    return np.asarray(Image.open(data))
 
 
 def sampled(mask, number):
@@ -69,7 +61,7 @@ KINDS = {
     "one bit, a few greys": (few_greys, "one bit", False),
     "a little blurred": (lambda m: gaussian_filter(m, 0.5), "wide edges", False),
     "blurred": (lambda m: gaussian_filter(m, 1.5), "wide edges", False),
-    "JPEG": (jpeg, "noisy", False),
+    "JPEG": (lambda m: jpeg(m, 30), "noisy", False),
 }
 
 

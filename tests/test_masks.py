@@ -98,6 +98,22 @@ def test_soft_edge_counts_once_whether_colours_or_transparency_hold_it(tmp_path,
     assert (said == "") == (name in ("grey", "RGB", "opaque", "half opaque everywhere"))
 
 
+SMOOTH_Y, SMOOTH_X = np.mgrid[:H, :W]
+SMOOTH = 150 + 60 * np.dstack(
+    [np.sin(SMOOTH_X / 9), np.cos(SMOOTH_Y / 7), np.sin((SMOOTH_X + SMOOTH_Y) / 8)]
+)
+
+
+RADIUS = np.hypot(SMOOTH_X - 50.3, SMOOTH_Y - 41.7)[..., None]
+LIT = np.sqrt(np.clip(1 - (RADIUS / 28.5) ** 2, 0, 1))
+#: Pictures whose transparency alone is the mask: colours, opacity.
+CUT_OUT = {
+    "noise": (TEXTURE, HARD),
+    "lit from the camera": (SMOOTH * LIT, HARD),
+    "lit, with ambient light": (SMOOTH * (0.2 + 0.8 * LIT), HARD),
+    "dark rim": (SMOOTH * (RADIUS < 26), HARD),
+    "photo cut in the middle of its edge": (SMOOTH * disc()[..., None], 255 * INSIDE),
+}
 #: A picture, its mask, and the words on how it was read at first sight.
 READ = {
     "one bit": (Image.fromarray(INSIDE), 255 * INSIDE, ""),
@@ -109,6 +125,7 @@ READ = {
     "clear everywhere": (channels(WHITE, BLACK), BLACK, ALPHA),
     "alpha of 0 and 1": (channels(WHITE, two(1, 0)), 255 * INSIDE, "its values 0 to 1"),
     "alpha of 1 and 255": (channels(WHITE, two(255, 1)), 255 * INSIDE, "its values 1 to 255"),
+    **{name: (channels(*map(np.uint8, cut)), cut[1], ALPHA) for name, cut in CUT_OUT.items()},
 }
 
 
@@ -255,31 +272,6 @@ def test_object_cut_off_by_the_frame_is_accepted(tmp_path, right, top):
     mask = WHITE.copy()  # on 40, 60 and 85 % of the border
     mask[:top, W - right :] = 0
     assert_array_equal(load(tmp_path, mask)[0], mask)
-
-
-SMOOTH_Y, SMOOTH_X = np.mgrid[:H, :W]
-SMOOTH = 150 + 60 * np.dstack(
-    [np.sin(SMOOTH_X / 9), np.cos(SMOOTH_Y / 7), np.sin((SMOOTH_X + SMOOTH_Y) / 8)]
-)
-
-
-RADIUS = np.hypot(SMOOTH_X - 50.3, SMOOTH_Y - 41.7)[..., None]
-LIT = np.sqrt(np.clip(1 - (RADIUS / 28.5) ** 2, 0, 1))
-#: Pictures whose transparency alone is the mask: colours, opacity.
-CUT_OUT = {
-    "noise": (TEXTURE, HARD),
-    "lit from the camera": (SMOOTH * LIT, HARD),
-    "lit, with ambient light": (SMOOTH * (0.2 + 0.8 * LIT), HARD),
-    "dark rim": (SMOOTH * (RADIUS < 26), HARD),
-    "photo cut in the middle of its edge": (SMOOTH * disc()[..., None], 255 * INSIDE),
-}
-
-
-@pytest.mark.parametrize("name", CUT_OUT)
-def test_object_cut_out_hard_is_its_transparency(tmp_path, name):
-    colours, opaque = CUT_OUT[name]
-    mask, _ = load(tmp_path, channels(np.uint8(colours), np.uint8(opaque)))
-    assert_array_equal(mask, opaque)
 
 
 def test_background_that_is_not_black_stays_where_edges_are_soft(tmp_path):

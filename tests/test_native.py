@@ -5,18 +5,18 @@ import subprocess
 import sys
 from functools import partial
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from fuzz_native import compare
 from numpy.testing import assert_allclose, assert_array_equal
+from slopes import both_ways
 
 import pinhole_jax as pj
 from pinhole_jax._camera.camera import film_map
 from pinhole_jax._files.native_library import SWITCH
 from pinhole_jax._native import library, rasteriser as native
-from pinhole_jax._silhouette.silhouette import in_arrays
 
 pytestmark = pytest.mark.skipif(not library.is_available(), reason="the library was not built")
 EYE = jnp.array([0.3, 0.8, 4.0])
@@ -26,21 +26,10 @@ def camera(e=EYE, W=24, H=18, lens=None):
     return pj.Camera(e, jnp.zeros(3), jnp.array([0.0, 1, 0]), 0.8, W=W, H=H, lens=lens)
 
 
-def soup(rng, number=12):
-    corners = rng.normal(size=(3 * number, 3))
-    return pj.Mesh(corners, np.arange(3 * number).reshape(-1, 3))
-
-
-def balls(rng, number=5):
-    return pj.Spheres(rng.normal(size=(number, 3)), rng.uniform(0.1, 0.6, number))
-
-
-SCENES = {
-    "closed": lambda rng: pj.Scene(mesh=pj.shapes.bumpy(1)),
-    "soup": lambda rng: pj.Scene(mesh=soup(rng)),
-    "spheres": lambda rng: pj.Scene(spheres=balls(rng)),
-    "both": lambda rng: pj.Scene(mesh=soup(rng), spheres=balls(rng)),
-}
+RANDOM = np.random.default_rng(3)
+SOUP = pj.Mesh(RANDOM.normal(size=(36, 3)), np.arange(36).reshape(-1, 3))
+BALLS = pj.Spheres(RANDOM.normal(size=(5, 3)), RANDOM.uniform(0.1, 0.6, 5))
+SCENES = {"closed": pj.Scene(pj.shapes.bumpy(1)), "both": pj.Scene(SOUP, BALLS)}
 
 
 def drawn(e, scene):
@@ -52,38 +41,15 @@ def drawn(e, scene):
 @pytest.mark.parametrize("kind", ["closed", "both"])
 def test_coverage_and_derivatives_are_those_by_arrays(kind, bends):
     """Forward and back, by the eye and by the scene."""
-    scene, random = SCENES[kind](np.random.default_rng(3)), np.random.default_rng(4)
     lens = pj.Lens([12.5, 8.5], distortion=pj.BrownConrady(k1=-0.2, p1=0.01)) if bends else None
-    moving, held = eqx.partition((EYE, scene), eqx.is_inexact_array)
-    weights = jnp.asarray(random.normal(size=(18, 24)))
-    ways = jax.tree.map(lambda x: jnp.asarray(random.normal(size=x.shape)), moving)
-
-    def both_ways(draw):
-        def image(moving):
-            e, scene = eqx.combine(moving, held)
-            return draw(film_map(camera(e, lens=lens)), scene)
-
-        def at_once(moving):
-            pushed = jax.jvp(image, (moving,), (ways,))
-            return *pushed, jax.grad(lambda x: jnp.sum(weights * image(x)))(moving)
-
-        return jax.jit(at_once)(moving)
-
-    pairs = zip(*(jax.tree.leaves(both_ways(f)) for f in (native.coverage, in_arrays)), strict=True)
-    for number, (a, b) in enumerate(pairs):
-        tolerance = 5e-14 if number == 0 else 1e-10 * max(1, np.abs(b).max())
-        assert_allclose(a, b, rtol=0, atol=tolerance)
+    compare(camera(EYE, lens=lens), SCENES[kind], np.random.default_rng(4), 5e-14)
 
 
 def test_batches_are_their_members():
     """Of images and gradients, a batch of batches."""
-    scene, random = SCENES["both"](np.random.default_rng(7)), np.random.default_rng(8)
-    eyes = EYE[None, None] + jnp.asarray(random.normal(size=(2, 2, 3))) * 0.1
-
-    def seen(e):
-        image, push = jax.linearize(partial(drawn, scene=scene), e)
-        return image, push(jnp.ones(3)), jax.linear_transpose(push, e)(image)[0]
-
+    eyes = EYE[None, None] + jnp.asarray(RANDOM.normal(size=(2, 2, 3))) * 0.1
+    image, weights = partial(drawn, scene=SCENES["both"]), jnp.asarray(RANDOM.normal(size=(18, 24)))
+    seen = lambda e: both_ways(image, e, jnp.ones(3), weights)
     together, one = jax.jit(jax.vmap(jax.vmap(seen)))(eyes), jax.jit(seen)
     for i, j in np.ndindex(2, 2):
         for whole, own in zip(together, one(eyes[i, j]), strict=True):
@@ -92,7 +58,7 @@ def test_batches_are_their_members():
 
 
 def test_second_derivative_is_refused():
-    loss = lambda e: jnp.sum(drawn(e, SCENES["closed"](None)) ** 2)
+    loss = lambda e: jnp.sum(drawn(e, SCENES["closed"]) ** 2)
     with pytest.raises(NotImplementedError, match="differentiated once"):
         jax.jit(jax.hessian(loss))(EYE)
 

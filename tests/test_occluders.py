@@ -1,7 +1,6 @@
 """Something stands before the object, and nobody said so."""
 
 import html
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -96,7 +95,7 @@ def test_visible_edge_is_enough_from_a_start(scene):
 def test_occluder_that_mimics_another_view_is_not_called_certain(sign):
     """A box of 1 x 2 x 3; a wall leaves 1 x 2 of it: another side."""
     box = trimesh.creation.box([1.0, 2.0, 3.0])
-    scene = pj.Scene(mesh=pj.Mesh(box.vertices, box.faces))
+    scene = pj.Scene(pj.Mesh(box))
     truth = pj.Camera([7.0, 0.2, 0.1], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 96, 80)
     inside = drawn(truth, scene) > 0.5
     left, right = np.flatnonzero(inside.any(axis=0))[[0, -1]] + 0.5
@@ -112,8 +111,7 @@ def bracket() -> pj.Scene:
     parts = [([1.6, 1.2, 0.15], [0, 0, 0]), ([0.15, 1.2, 0.9], [-0.72, 0, 0.5])]
     parts += [([0.9, 0.15, 0.5], [-0.3, 0.52, 0.3])]
     plates = [trimesh.creation.box(size).apply_translation(place) for size, place in parts]
-    whole: Any = trimesh.util.concatenate(plates)
-    return single(pj.Scene(mesh=pj.Mesh(np.asarray(whole.vertices), whole.faces)))
+    return single(pj.Scene(pj.Mesh(trimesh.util.concatenate(plates))))
 
 
 def behind_a_half_plane(truth, scene, turn: float, least: float) -> np.ndarray:

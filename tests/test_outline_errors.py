@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 from chosen import full
-from masks import outward, wavy
+from honesty import signed_distance
+from intervals import error
+from masks import wavy
 from numpy.testing import assert_allclose, assert_array_equal
-from oracles import drawn, single, turned
+from oracles import drawn, single, turned, usual_camera
 from results import degrees
-from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
@@ -15,7 +16,7 @@ from pinhole_jax._outline.outline_errors import ErrorModel
 from pinhole_jax._rules import RULES
 
 SIZE = 128
-CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, SIZE, SIZE)
+CAMERA = usual_camera(SIZE, SIZE)
 
 
 @pytest.fixture(scope="module")
@@ -26,15 +27,6 @@ def scene():
 @pytest.fixture(scope="module")
 def image(scene):
     return drawn(single(CAMERA), scene)
-
-
-def error(found, truth):
-    """Return by how much a camera is off: small turns about its own axes, and its eye (6,)."""
-    axes, wanted = (
-        np.stack([np.asarray(b, float) for b in pj.camera_basis(c)]) for c in (found, truth)
-    )
-    turn = Rotation.from_matrix(wanted.T @ axes).as_rotvec()
-    return np.concatenate([axes @ turn, np.asarray(truth.e, float) - np.asarray(found.e, float)])
 
 
 def test_rendered_binary_mask_has_quantisation_errors_alone(scene, image):
@@ -123,9 +115,9 @@ def test_scale_of_the_weights_does_not_matter(scene, image):
 
 
 def test_mask_that_shows_little_is_uncertain(scene):
-    small = pj.Camera([1.8, 6.0, 30.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, SIZE, SIZE)
-    shown = drawn(single(small), scene)
-    fit = pj.fit_camera(scene, wavy(shown, np.random.default_rng(0), 1.5, 8.0), single(small))
+    small = single(CAMERA.replace(e=[1.8, 6.0, 30.0]))
+    mask = wavy(drawn(small, scene), np.random.default_rng(0), 1.5, 8.0)
+    fit = pj.fit_camera(scene, mask, small)
     assert fit.status in ("uncertain", "ambiguous")
     assert np.max(fit.std[:3]) > np.deg2rad(4)
     assert any("degrees (1 sigma)" in words or "is not visible" in words for words in fit.weak)
@@ -134,7 +126,7 @@ def test_mask_that_shows_little_is_uncertain(scene):
 @pytest.mark.parametrize("px", [3.0, full(-2.0)])
 def test_mask_that_is_grown_all_round_does_not_turn_the_camera(scene, image, px):
     """(The least squares of pixels are 3.5 and 2.4 degrees off.)"""
-    grown, start = outward(image) > -px, turned(single(CAMERA), [1, 2, 3], 5)
+    grown, start = signed_distance(image) > -px, turned(single(CAMERA), [1, 2, 3], 5)
     fit = pj.fit_camera(scene, grown, start)
     assert fit.status == "converged"
     assert degrees(fit, single(CAMERA)) < min(0.5, 3 * np.rad2deg(np.linalg.norm(fit.std[:3])))

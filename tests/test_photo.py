@@ -3,15 +3,16 @@
 import jax
 import numpy as np
 import pytest
-from oracles import drawn, turned
+from oracles import drawn, turned, usual_camera
 from scipy.ndimage import binary_dilation, gaussian_filter
 from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
 
-CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 192, 160)
+CAMERA = usual_camera(192, 160)
 START = turned(CAMERA, [1, 2, 3], 3)
+TURN = Rotation.from_euler("y", 120, degrees=True).as_matrix()
 FRONT, BACK = np.array([0.7, 0.3, 0.1]), np.array([0.1, 0.3, 0.5])
 
 
@@ -80,17 +81,13 @@ def test_colours_that_tell_nothing_leave_the_mask_alone(scene, shown):
 
 def beside(scene, masks, photos):
     """Return views of the scene in place, and turned by a third of a circle."""
-    place = np.eye(4)
-    place[:3, :3] = Rotation.from_euler("y", 120, degrees=True).as_matrix()
-    places = (None, place)
-    given = zip(masks, photos, places, strict=True)
+    given = zip(masks, photos, (None, np.pad(TURN, (0, 1)) + np.diag([0, 0, 0, 1])), strict=True)
     return [pj.JointView(scene, mask, photo=photo, placed=at) for mask, photo, at in given]
 
 
 def turned_away(scene):
     """The mask of the second view of `beside`."""
-    turn = Rotation.from_euler("y", 120, degrees=True).as_matrix()
-    vertices = np.asarray(scene.mesh.vertices) @ turn.T
+    vertices = np.asarray(scene.mesh.vertices) @ TURN.T
     return drawn(CAMERA, pj.Scene(mesh=pj.Mesh(vertices, scene.mesh.faces)))
 
 

@@ -45,9 +45,7 @@ CAMERA = usual_camera()
 
 
 RING = trimesh.creation.torus(1.0, 0.35, major_sections=32, minor_sections=16)
-
-
-TORUS = pj.Scene(mesh=pj.Mesh(RING.vertices, RING.faces))
+TORUS = pj.Scene(pj.Mesh(RING))
 
 
 def test_nearly_round_body_is_found_from_all_round_its_axis():
@@ -78,7 +76,7 @@ def test_noisy_mask_is_explained(clipped):
 
 def test_noisy_mask_of_a_box_is_as_ambiguous_as_an_exact_one():
     box = trimesh.creation.box((1.2, 1.32, 1.05))
-    scene = pj.Scene(mesh=pj.Mesh(box.vertices, box.faces))
+    scene = pj.Scene(pj.Mesh(box))
     mask, noise = drawn(CAMERA, scene), np.random.default_rng(0).normal(size=(80, 96))
     for target in (mask, mask + 0.02 * noise, mask > 0.5):
         fit = pj.fit_camera(scene, target, None, phi=0.6)
@@ -117,7 +115,7 @@ def test_hard_mask_on_the_grid_leaves_a_sigma():
     """Its right camera leaves no residual at all, and still is not known better than to a part of
     a pixel."""
     box = trimesh.creation.box((1, 1, 1))
-    scene = pj.Scene(mesh=pj.Mesh(box.vertices, box.faces))
+    scene = pj.Scene(pj.Mesh(box))
     camera = pj.Camera([0, 0, 4.5], [0, 0, 0], [0, 1, 0], 2 * np.arctan(0.125 * 5), 1.0, 80, 80)
     fit = pj.fit_camera(scene, drawn(camera, scene) > 0.5, camera, ("position",))
     px = 4 / 64  # at the front face
@@ -129,7 +127,7 @@ def test_nut_fits_as_well_one_side_on(sides, monkeypatch):
     """Neighbours of the start, none of them half a turn away; the same on any number of cores, on
     which looks and descents are worked out ahead."""
     nut = trimesh.creation.cylinder(radius=1, height=0.8, sections=sides)
-    scene = pj.Scene(mesh=pj.Mesh(np.asarray(nut.vertices, float), nut.faces))
+    scene = pj.Scene(pj.Mesh(nut))
     camera = pj.Camera([0.5, 4.0, 3.0], [0, 0, 0], [0, 0, 1], 0.6, 1.0, 96, 80)
     start = turned(camera, [0, 0, 1], 0.8 * 180 / sides)
     for mask in (drawn(camera, scene), drawn(camera, scene) > 0.5):

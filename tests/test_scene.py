@@ -59,7 +59,7 @@ def test_mesh_compiles_nothing(compiled):
     sizes = []
     for sections in (11, 11, 12, 17):
         ring = trimesh.creation.torus(1, 0.3, sections, 9)
-        scene = pj.Scene(mesh=pj.Mesh(ring.vertices, ring.faces))
+        scene = pj.Scene(pj.Mesh(ring))
         sizes.append(len(padded(scene).mesh.faces))
         assert_array_equal(
             bounding_box(scene), [ring.vertices.min(axis=0), ring.vertices.max(axis=0)]

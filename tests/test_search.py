@@ -77,7 +77,7 @@ def test_start_that_misses_the_mask_is_pulled_in(scene, where):
 def test_box_has_four_views():
     """Half turns about its three axes change nothing: four cameras, all of them are given."""
     box = trimesh.creation.box((1.2, 0.8, 2)).subdivide()
-    scene, truth = pj.Scene(mesh=pj.Mesh(box.vertices, box.faces)), anywhere(1)
+    scene, truth = pj.Scene(pj.Mesh(box)), anywhere(1)
     mask = drawn(truth, scene)
     fit = pj.fit_camera(scene, mask, None, phi=0.6)
     assert fit.status == "ambiguous"
@@ -93,7 +93,7 @@ def test_box_has_four_views():
 def test_continuous_symmetry_is_no_list_of_modes():
     cylinder = trimesh.creation.cylinder(0.5, 2.0, sections=256)
     cylinder.vertices[cylinder.vertices[:, 2] > 0, :2] *= 0.6  # a cone's stump: no second axis
-    scene = pj.Scene(mesh=pj.Mesh(cylinder.vertices, cylinder.faces))
+    scene = pj.Scene(pj.Mesh(cylinder))
     fit = pj.fit_camera(scene, drawn(anywhere(2), scene), None, phi=0.6)
     assert fit.iou > 0.999
     assert fit.modes == ()

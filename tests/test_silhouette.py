@@ -13,7 +13,15 @@ import shapely
 import trimesh
 from chosen import first, full, long
 from numpy.testing import assert_allclose, assert_array_equal
-from oracles import coverage, filled, mesh_coverage, random_camera, single, union_per_pixel
+from oracles import (
+    coverage,
+    filled,
+    mesh_coverage,
+    random_camera,
+    single,
+    union_per_pixel,
+    usual_camera,
+)
 from slopes import both_ways
 
 import pinhole_jax as pj
@@ -258,7 +266,7 @@ def test_no_pixel_of_a_rough_mesh_is_wrong_in_float32():
 @pytest.mark.long
 def test_thousand_views_take_memory_for_their_masks_and_one():
     scene = pj.Scene(mesh=pj.Mesh(*gentle()))
-    camera = pj.Camera([0.3, 1, 5], [0.1, 0, 0], [0.1, 1, 0], 0.6, W=W, H=H)
+    camera = usual_camera(W, H)
     at = lambda e: pj.silhouette(eqx.tree_at(lambda c: c.e, camera, e), scene)
     eyes = jnp.broadcast_to(camera.e, (1000, 3))
     used = [

@@ -28,8 +28,3 @@ def taken(unit, scene, data, level, size=None) -> looks.View:
     move = problem.move(unit, level, FREE)
     look = eqx.filter_jit(looks.look)(y, move, problem, level, FREE, size)
     return looks.View.from_origin(looks.Origin(look, problem, level, FREE, size))
-
-
-def like(kind):
-    """A named tuple of that kind, with a number in each field."""
-    return kind(*[0.0] * len(kind._fields))

@@ -110,7 +110,10 @@ def clipped(corners: np.ndarray, view: View) -> list:
         if len(kept) < 3:
             return []
         corners = np.array(kept)
-    return [shapely.Polygon(corners[:, :2] / corners[:, 2:])]
+    corners = corners[corners[:, 2] > 0]
+    film = (corners[:, :2] / corners[:, 2:]).astype(float)
+    hull = shapely.convex_hull(shapely.multipoints(film))
+    return [hull] if hull.geom_type == "Polygon" else []
 
 
 def triangles(view: View) -> list:
