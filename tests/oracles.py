@@ -91,13 +91,10 @@ def single(tree):
 def turned(camera: pj.Camera, axis, degrees: float, distance: float = 1.0, focal: float = 1.0):
     """Return the camera orbited about the origin; distance and focal length are multiples."""
     turn = np.deg2rad(degrees) * np.asarray(axis) / np.linalg.norm(axis)
-    R = Rotation.from_rotvec(turn).as_matrix()
-    e, p, u = (np.asarray(x, float) for x in (camera.e, camera.p, camera.u))
-    eye = R @ e * distance
+    R, eye = Rotation.from_rotvec(turn).as_matrix(), np.asarray(camera.e, float)
+    there = camera.with_pose(distance * R @ eye, np.stack(pj.camera_basis(camera)) @ R.T)
     phi = 2 * np.arctan(np.tan(float(camera.phi) / 2) / focal)
-    dtype = np.asarray(camera.e).dtype
-    arrays = (x.astype(dtype) for x in (eye, eye + R @ (p - e), R @ u))
-    return pj.Camera(*arrays, dtype.type(phi), camera.d, camera.W, camera.H, camera.lens)
+    return there.replace(phi=camera.phi.dtype.type(phi))
 
 
 def usual_camera(W: int = 96, H: int = 80) -> pj.Camera:

@@ -97,21 +97,14 @@ def test_derivatives_are_differences_of_the_oracle():
     assert_allclose(ways @ gradient, expected, rtol=5e-3, atol=5e-3 * np.abs(expected).max())
 
 
-FIT_W, FIT_H = 96, 72
-
-
-def fit_camera(eye, k1):
-    lens = pj.Lens([FIT_W / 2, FIT_H / 2], 1.0, pj.BrownConrady(k1))
-    return pj.Camera(eye, [0, 0, 0], [0, 1, 0.1], 0.7, W=FIT_W, H=FIT_H, lens=lens)
-
-
 @pytest.fixture(scope="module")
 def fitted():
     """Return scene, truth, mask, start, and the fit of pose and k1 to the exact mask."""
     scene = pj.Scene(pj.shapes.bumpy(2))
-    truth = fit_camera([0.3, 0.4, 3.2], -0.25)
+    start = pj.Camera([0.5, 0.2, 3.3], [0.05, 0, 0], [0, 1, 0.1], 0.7, W=96, H=72)
+    lens = pj.Lens([48, 36], 1.0, pj.BrownConrady(-0.25))
+    truth = start.replace(e=[0.3, 0.4, 3.2], p=[0, 0, 0], lens=lens)
     mask = pj.silhouette(truth, scene)
-    start = pj.Camera([0.5, 0.2, 3.3], [0.05, 0, 0], [0, 1, 0.1], 0.7, W=FIT_W, H=FIT_H)
     return scene, truth, mask, start, pj.fit_camera(scene, mask, start, free=("pose", "k1"))
 
 

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import trimesh
 from numpy.testing import assert_allclose
 from oracles import mesh_coverage
 
@@ -44,8 +45,8 @@ STEPS = 1 / 4, 1 / 16, 1 / 32
 def sheets(random, step):
     """Return eight rectangles, the last two of them copies."""
     spans = [[interval(random, -5, 5, step) for _ in range(2)] for _ in range(6)]
-    vertices, faces = zip(*(sheet(random, x) for x in (*spans, *spans[:2])), strict=True)
-    return np.concatenate(vertices), np.concatenate([f + 4 * k for k, f in enumerate(faces)])
+    parts = [sheet(random, x) for x in (*spans, *spans[:2])]
+    return trimesh.util.append_faces(*zip(*parts, strict=True))
 
 
 def scene_of(vertices, faces, dtype=float) -> pj.Scene:

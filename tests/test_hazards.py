@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import stress
 from chosen import first, full
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -69,12 +70,7 @@ def test_poisoned_element_leaves_the_rest_of_a_batch_alone(bad):
             assert_array_equal(x[::2], y[::2])
 
 
-CORNER = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1.0]])
-
-
-SOLID = pj.Mesh(CORNER, [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
-
-
+SOLID = pj.Mesh(*stress.SHAPES[2])
 FLAT = pj.Mesh([[0, 0, 0], [1, 0, 0], [2, 0, 0.0]], [[0, 1, 2], [0, 0, 1]])
 
 

@@ -52,9 +52,8 @@ def bowl():
 def crowd(number=200):
     random, ball = np.random.default_rng(2), trimesh.creation.icosphere(1)
     sizes, places = random.uniform(0.03, 0.15, number), random.uniform(-1, 1, (number, 3))
-    vertices = sizes[:, None, None] * ball.vertices + places[:, None]
-    faces = ball.faces + len(ball.vertices) * np.arange(number)[:, None, None]
-    return vertices.reshape(-1, 3), faces.reshape(-1, 3)
+    vertices = [size * ball.vertices + place for size, place in zip(sizes, places, strict=True)]
+    return trimesh.util.append_faces(vertices, number * [ball.faces])
 
 
 def soup(number=100):

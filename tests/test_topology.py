@@ -18,9 +18,7 @@ BOXES = [trimesh.creation.box((1, 1, 1)).apply_translation([k, 0, 0]) for k in r
 
 def together(*parts):
     """Return vertices and faces of some parts, none of whose vertices are shared."""
-    first = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
-    faces = [np.asarray(faces) + k for (_, faces), k in zip(parts, first, strict=False)]
-    return np.concatenate([np.asarray(vertices) for vertices, _ in parts]), np.concatenate(faces)
+    return trimesh.util.append_faces(*zip(*parts, strict=True))
 
 
 def shuffled(vertices, faces):
