@@ -15,6 +15,7 @@ from pinhole_jax import formats, io, shapes
 from pinhole_jax._solver.levenberg_marquardt import descended
 
 CAMERA, SCENE = usual_camera(), pj.Scene(shapes.bumpy(3))
+EXACT = drawn(CAMERA, SCENE)
 
 
 def cases(count):
@@ -51,7 +52,7 @@ def test_pose_and_focal_length_from_exact_masks(convert, worst, exhaustive):
     ],
 )
 def test_fit_of_each_subset_of_parameters_finds_the_truth(free, change):
-    fit = pj.fit_camera(SCENE, drawn(CAMERA, SCENE), CAMERA.replace(**change), free)
+    fit = pj.fit_camera(SCENE, EXACT, CAMERA.replace(**change), free)
     assert fit.status == "converged"
     assert_allclose(pj.pose_error(fit.camera, CAMERA), 0, atol=1e-8)
     assert_allclose([fit.camera.phi, fit.camera.d], [CAMERA.phi, CAMERA.d], rtol=1e-8)
@@ -62,7 +63,6 @@ def test_fit_of_each_subset_of_parameters_finds_the_truth(free, change):
 
 @pytest.mark.long
 def test_targets_may_be_bool_uint8_or_float():
-    image = drawn(CAMERA, SCENE)
     start = turned(CAMERA, [1, 2, 3], 8)
     for target, worst in (
         (image > 0.5, 0.3),
@@ -80,7 +80,7 @@ def test_object_out_of_sight_or_all_over_the_film_is_no_success():
     behind = CAMERA.replace(p=CAMERA.e + np.array([0.0, 0, 4]))
     close = pj.Camera([0, 0, 2.2], [0, 0, 0], [0, 1, 0], 0.1, 1.0, 96, 80)
     for start, status in ((behind, "no_overlap"), (close, "saturated")):
-        assert pj.fit_camera(SCENE, drawn(CAMERA, SCENE), start, "phi").status == status
+        assert pj.fit_camera(SCENE, EXACT, start, "phi").status == status
     # The mask of something else: the best camera overlaps it by less than half.
     thin = np.abs(np.subtract(*np.indices((80, 96))) + 8) < 2
     fit = pj.fit_camera(SCENE, thin, CAMERA, "orientation")
@@ -89,15 +89,14 @@ def test_object_out_of_sight_or_all_over_the_film_is_no_success():
 
 
 def test_fit_that_may_take_one_step_is_never_worse_than_its_start():
-    mask = drawn(CAMERA, SCENE)
-    fit = pj.fit_camera(SCENE, mask, turned(CAMERA, [1, 2, 3], 15), max_steps=1)
+    fit = pj.fit_camera(SCENE, EXACT, turned(CAMERA, [1, 2, 3], 15), max_steps=1)
     assert (fit.status, {*fit.steps}) == ("max_steps", {1})
-    assert pj.fit_camera(SCENE, mask, CAMERA, max_steps=1).rms < 1e-8
+    assert pj.fit_camera(SCENE, EXACT, CAMERA, max_steps=1).rms < 1e-8
 
 
 @pytest.mark.long
 def test_pixels_of_zero_weight_do_not_count():
-    target, weight = drawn(CAMERA, SCENE).copy(), np.ones((80, 96))
+    target, weight = EXACT.copy(), np.ones((80, 96))
     target[:, :40] = 0.0
     weight[:, :42] = 0
     fit = pj.fit_camera(SCENE, target, turned(CAMERA, [1, 2, 3], 5), weight=weight)
@@ -107,7 +106,7 @@ def test_pixels_of_zero_weight_do_not_count():
 @pytest.mark.long
 def test_gauge_of_the_start_is_kept():
     start = turned(CAMERA, [1, 2, 3], 8)
-    fitted = pj.fit_camera(SCENE, drawn(CAMERA, SCENE), start).camera
+    fitted = pj.fit_camera(SCENE, EXACT, start).camera
     for f in (lambda c: c.p - c.e, lambda c: c.u):
         assert_allclose(np.linalg.norm(f(fitted)), np.linalg.norm(f(start)))
 
@@ -138,7 +137,7 @@ def test_mesh_and_spheres_together():
 
 @pytest.mark.long
 def test_inverted_mask_is_no_success():
-    inverted = 1 - drawn(CAMERA, SCENE)
+    inverted = 1 - EXACT
     with refusal("like an inverted one"):
         pj.fit_camera(SCENE, inverted, CAMERA)
     near = CAMERA.replace(e=CAMERA.p + 0.3 * (CAMERA.e - CAMERA.p))  # it fills the picture
@@ -157,7 +156,7 @@ def test_exact_mask_of_another_shape_is_a_misfit(manner):
 
 @pytest.mark.long
 def test_meshes_and_images_of_similar_size_share_compiled_programs():
-    pj.fit_camera(SCENE, drawn(CAMERA, SCENE), turned(CAMERA, [1, 2, 3], 5))
+    pj.fit_camera(SCENE, EXACT, turned(CAMERA, [1, 2, 3], 5))
     programs = [descended._cached._cache_size()]
     for subdivisions, size in ((2, (300, 160)), (3, (90, 84))):
         other = pj.Scene(shapes.bumpy(subdivisions, seed=1))
@@ -167,7 +166,7 @@ def test_meshes_and_images_of_similar_size_share_compiled_programs():
 
 
 def test_progress_is_reported_after_each_level():
-    told, each, mask = [], [], drawn(CAMERA, SCENE)
+    told, each, mask = [], [], EXACT
     start = turned(CAMERA, [1, 2, 3], 8, 1.05)
     fit = pj.fit_camera(SCENE, mask, start, progress=told.append)
     assert tuple(level.steps for level in told) == fit.steps
@@ -186,11 +185,11 @@ def test_progress_is_reported_after_each_level():
 
 def test_weakness_is_named_where_the_mask_leaves_it():
     """Of an exact mask the focal length is known to 1e-6, of a hard one to half a degree."""
-    exact = pj.fit_camera(SCENE, drawn(CAMERA, SCENE), CAMERA, ("pose", "phi"))
+    exact = pj.fit_camera(SCENE, EXACT, CAMERA, ("pose", "phi"))
     assert exact.status == "converged"
     assert np.max(exact.std) < 1e-5
     assert exact.weak == ()
-    hard = pj.fit_camera(SCENE, drawn(CAMERA, SCENE) > 0.5, CAMERA, ("pose", "phi"))
+    hard = pj.fit_camera(SCENE, EXACT > 0.5, CAMERA, ("pose", "phi"))
     assert "hard to tell apart" in hard.weak[0]
 
 

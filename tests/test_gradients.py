@@ -19,14 +19,12 @@ CAMERA = usual_camera(W, H).replace(d=1.3)
 WEIGHT = np.random.default_rng(0).normal(size=(H, W))
 
 
-@pytest.fixture(scope="module")
-def mesh():
-    return shapes.bumpy(2, bumps=0.02)
+MESH = shapes.bumpy(2, bumps=0.02)
 
 
 @pytest.fixture(scope="module")
-def gradients(mesh):
-    scene = pj.Scene(mesh)
+def gradients():
+    scene = pj.Scene(MESH)
 
     def loss(moving):
         return jnp.sum(jnp.asarray(WEIGHT) * pj.silhouette(*moving))
@@ -39,25 +37,25 @@ def weighted(camera, mesh):
 
 
 @pytest.mark.parametrize("name", ["e", "p", "u", "phi", "d"])
-def test_camera_gradient_equals_central_differences_of_the_polygon_union(mesh, gradients, name):
-    oracle = lambda value: weighted(CAMERA.replace(**{name: value}), mesh)
+def test_camera_gradient_equals_central_differences_of_the_polygon_union(gradients, name):
+    oracle = lambda value: weighted(CAMERA.replace(**{name: value}), MESH)
     expected = central_difference(oracle, getattr(CAMERA, name))
     # 1e-6 relative, of each parameter's own gradient; d moves nothing.
     close = 0 if name == "d" else 1e-6 * np.abs(expected).max()
     assert_allclose(getattr(gradients[0], name), expected, atol=close)
 
 
-def test_vertex_gradient_equals_central_differences_of_the_polygon_union(mesh, gradients):
+def test_vertex_gradient_equals_central_differences_of_the_polygon_union(gradients):
     found = np.asarray(gradients[1].mesh.vertices)
     order = np.argsort(-np.abs(found).max(axis=1))
     for vertex in (*order[:4], order[40]):
-        moved = lambda x, k=vertex: pj.Mesh(mesh.vertices.at[k].set(x), mesh.faces)
+        moved = lambda x, k=vertex: pj.Mesh(MESH.vertices.at[k].set(x), MESH.faces)
         oracle = lambda x, moved=moved: weighted(CAMERA, moved(x))
-        expected = central_difference(oracle, mesh.vertices[vertex])
+        expected = central_difference(oracle, MESH.vertices[vertex])
         assert_allclose(found[vertex], expected, atol=1e-6 * np.abs(found).max())
 
 
-def test_frozen_leaves_cost_no_derivative(mesh):
+def test_frozen_leaves_cost_no_derivative():
     """Nothing that does not move enters the library's push."""
     if not is_available():
         pytest.skip("there is no compiled library")
@@ -68,7 +66,7 @@ def test_frozen_leaves_cost_no_derivative(mesh):
         (taken,) = re.findall(r"@pinhole_image_push.* : \((.*)\) ->", text)
         return [x for x in re.findall(r"tensor<([\dx]*)xf64>", taken)[-4:] if x[0] != "0"]
 
-    phi = lambda x: pj.silhouette(CAMERA.replace(phi=x), pj.Scene(mesh))
+    phi = lambda x: pj.silhouette(CAMERA.replace(phi=x), pj.Scene(MESH))
     assert pushed(phi, CAMERA.phi) == ["18"]
-    moving = lambda x: pj.silhouette(x[0], pj.Scene(pj.Mesh(x[1], mesh.faces)))
-    assert pushed(moving, (CAMERA, mesh.vertices)) == ["18", "162x3"]
+    moving = lambda x: pj.silhouette(x[0], pj.Scene(pj.Mesh(x[1], MESH.faces)))
+    assert pushed(moving, (CAMERA, MESH.vertices)) == ["18", "162x3"]

@@ -174,7 +174,6 @@ KNOWN_FAULTS = {
     "pinhole_jax/_files/process.py: jax.config",
     "pinhole_jax: Images twice",
     "pinhole_jax: Outline twice",
-    "tests/test_on_devices.py: main: 66",
 }
 
 

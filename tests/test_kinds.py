@@ -13,9 +13,7 @@ from pinhole_jax._mask.kinds import kind_of
 CAMERA = usual_camera(128, 128)
 
 
-@pytest.fixture(scope="module")
-def mask():
-    return drawn(CAMERA, pj.Scene(mesh=shapes.bumpy(3)))
+MASK = drawn(CAMERA, pj.Scene(shapes.bumpy(3)))
 
 
 def sampled(mask, number):
@@ -66,19 +64,19 @@ KINDS = {
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_residual_of_the_right_camera_matches_the_kind(mask, name):
+def test_residual_of_the_right_camera_matches_the_kind(name):
     make, kind, exact = KINDS[name]
-    target = make(mask)
-    found = kind_of(target, np.ones(mask.shape), np.float64)
+    target = make(MASK)
+    found = kind_of(target, np.ones(MASK.shape), np.float64)
     assert (found.name, found.exact) == (kind, exact)
     shown = target / 255 if target.dtype == np.uint8 else target.astype(float)
-    outline = (mask > 1e-4) & (mask < 1 - 1e-4)
-    left = np.mean((shown - mask)[outline] ** 2)
+    outline = (MASK > 1e-4) & (MASK < 1 - 1e-4)
+    left = np.mean((shown - MASK)[outline] ** 2)
     assert left <= found.most
     assert found.least <= 1.2 * max(left, found.variance)
     rounded_only = name.startswith("exact") or name in ("16 bits of floats", "256 samples, 8 bits")
     if exact and not rounded_only:
         assert 0.3 < left / found.variance < 3
     if exact and name != "16 samples":  # half a pixel off is not explained
-        moved = 0.5 * (mask + np.roll(mask, 1, axis=1))
-        assert np.mean((moved - mask)[outline] ** 2) > found.most
+        moved = 0.5 * (MASK + np.roll(MASK, 1, axis=1))
+        assert np.mean((moved - MASK)[outline] ** 2) > found.most

@@ -24,9 +24,7 @@ from pinhole_jax.show.outline import RED
 COLUMNS = np.arange(96) + 0.5
 
 
-@pytest.fixture(scope="module")
-def scene():
-    return pj.Scene(mesh=shapes.bumpy(3))
+SCENE = pj.Scene(shapes.bumpy(3))
 
 
 def anywhere(seed: int) -> pj.Camera:
@@ -69,24 +67,24 @@ def check(fit, truth, wall, scene, seen):
     assert np.max(off) < 6
 
 
-def test_visible_edge_is_enough_from_a_start(scene):
+def test_visible_edge_is_enough_from_a_start():
     truth = anywhere(0)
-    seen, wall = behind_a_wall(truth, scene, 0.3)
+    seen, wall = behind_a_wall(truth, SCENE, 0.3)
     start = turned(truth, [1, 2, 3], 10)
-    fit = pj.fit_camera(scene, seen, start)
-    check(fit, truth, wall, scene, seen)
+    fit = pj.fit_camera(SCENE, seen, start)
+    check(fit, truth, wall, SCENE, seen)
     assert fit.status == "converged"
     assert degrees(fit, truth) < 3 * np.rad2deg(np.linalg.norm(fit.std[:3]))
-    plain = pj.fit_camera(scene, seen, start, outlier_px=None)
+    plain = pj.fit_camera(SCENE, seen, start, outlier_px=None)
     assert degrees(plain, truth) > 20
     assert plain.unbelieved is None
-    red = np.all(plot.overlay(seen * np.uint8(255), fit.camera, scene) == RED, axis=-1)
+    red = np.all(plot.overlay(seen * np.uint8(255), fit.camera, SCENE) == RED, axis=-1)
     assert not red.any()
-    shown = plot.overlay(seen * np.uint8(255), fit.camera, scene, dots=fit.unbelieved)
+    shown = plot.overlay(seen * np.uint8(255), fit.camera, SCENE, dots=fit.unbelieved)
     at = np.argwhere(np.all(shown == RED, axis=-1))
     assert abs(np.median(at[:, 1]) / (shown.shape[1] / 96) - wall) < 1
     assert "Red: edges of the mask that were ignored" in html.unescape(
-        report.page(fit, scene, seen)
+        report.page(fit, SCENE, seen)
     )
 
 

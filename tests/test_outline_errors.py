@@ -17,20 +17,12 @@ from pinhole_jax._rules import RULES
 
 SIZE = 128
 CAMERA = usual_camera(SIZE, SIZE)
+SCENE = single(pj.Scene(shapes.bumpy(3)))
+IMAGE = drawn(single(CAMERA), SCENE)
 
 
-@pytest.fixture(scope="module")
-def scene():
-    return single(pj.Scene(mesh=shapes.bumpy(3)))
-
-
-@pytest.fixture(scope="module")
-def image(scene):
-    return drawn(single(CAMERA), scene)
-
-
-def test_rendered_binary_mask_has_quantisation_errors_alone(scene, image):
-    fit = pj.fit_camera(scene, image > 0.5, single(CAMERA))
+def test_rendered_binary_mask_has_quantisation_errors_alone():
+    fit = pj.fit_camera(SCENE, IMAGE > 0.5, single(CAMERA))
     assert fit.mask_error == (0.0, 0.0)
     assert str(fit.mask_error) == "quantisation alone"
     ratio = fit.std / np.sqrt(np.diag(fit.independent_covariance))
@@ -38,17 +30,17 @@ def test_rendered_binary_mask_has_quantisation_errors_alone(scene, image):
 
 
 @pytest.mark.parametrize("px", [1.0, full(2.0)])
-def test_size_of_errors_is_that_of_a_mask_as_it_was_drawn(scene, image, px):
-    masks = [wavy(image, np.random.default_rng(seed), px, 10.0) for seed in range(4)]
-    errors = [pj.fit_camera(scene, mask, single(CAMERA)).mask_error.px for mask in masks]
+def test_size_of_errors_is_that_of_a_mask_as_it_was_drawn(px):
+    masks = [wavy(IMAGE, np.random.default_rng(seed), px, 10.0) for seed in range(4)]
+    errors = [pj.fit_camera(SCENE, mask, single(CAMERA)).mask_error.px for mask in masks]
     assert 0.5 < np.median(errors) / px < 2
 
 
-def test_mask_without_some_pixels_of_its_outline_is_drawn(scene, image):
+def test_mask_without_some_pixels_of_its_outline_is_drawn():
     """... though its stretches err by no more than those of a rendered one."""
-    mask, outline = image > 0.5, np.argwhere((image > 0.02) & (image < 0.98))
+    mask, outline = IMAGE > 0.5, np.argwhere((IMAGE > 0.02) & (IMAGE < 0.98))
     mask[tuple(outline[:: len(outline) // 12].T)] ^= True
-    assert pj.fit_camera(scene, mask, single(CAMERA)).mask_error.px > 0
+    assert pj.fit_camera(SCENE, mask, single(CAMERA)).mask_error.px > 0
 
 
 @pytest.mark.long
@@ -61,52 +53,52 @@ def test_rendered_triangle_soup_is_not_taken_for_drawn():
     assert pj.fit_camera(soup, mask, single(CAMERA)).mask_error.px < 0.1
 
 
-def test_rendered_soft_mask_has_no_mask_error(scene, image):
-    fit = pj.fit_camera(scene, image, single(CAMERA))
+def test_rendered_soft_mask_has_no_mask_error():
+    fit = pj.fit_camera(SCENE, IMAGE, single(CAMERA))
     assert fit.mask_error is None
     assert_array_equal(fit.covariance, fit.independent_covariance)
 
 
-def intervals(scene, image, trials):
+def intervals(trials):
     """Return errors in standard errors (trials, 6), as stated and if pixels were independent."""
     stated, independent = [], []
     for trial in trials:
         random = np.random.default_rng(trial)
         px, length = np.exp(random.uniform(np.log([0.3, 2]), np.log([2, 30])))
-        mask = wavy(image, random, px, length, random.uniform(-1, 1))
-        fit = pj.fit_camera(scene, mask, single(turned(CAMERA, [0.3, 1, 0.2], 3.0)))
+        mask = wavy(IMAGE, random, px, length, random.uniform(-1, 1))
+        fit = pj.fit_camera(SCENE, mask, single(turned(CAMERA, [0.3, 1, 0.2], 3.0)))
         off = np.abs(error(fit.camera, CAMERA))
         stated.append(off / fit.std)
         independent.append(off / np.sqrt(np.diag(fit.independent_covariance)))
     return np.array(stated), np.array(independent)
 
 
-def test_intervals_hold_for_masks_that_waver(scene, image):
-    stated, independent = intervals(scene, image, range(3))
+def test_intervals_hold_for_masks_that_waver():
+    stated, independent = intervals(range(3))
     assert np.mean(stated < 1.96) > 0.8
     assert np.mean(independent < 1.96) < 0.5  # what they would be without
 
 
 @pytest.mark.full
-def test_intervals_hold_as_often_as_they_say(scene, image, exhaustive):
-    stated, _ = intervals(scene, image, range(3, 63 if exhaustive else 11))
+def test_intervals_hold_as_often_as_they_say(exhaustive):
+    stated, _ = intervals(range(3, 63 if exhaustive else 11))
     assert 0.9 < np.mean(stated < 1.96) < 0.99
     assert 0.3 < np.median(stated) < 0.9
 
 
-def test_pixels_of_zero_weight_are_no_mask_error(scene, image):
+def test_pixels_of_zero_weight_are_no_mask_error():
     shown = np.add.outer(np.arange(SIZE), np.arange(SIZE)) >= SIZE
-    mask = (image > 0.5) & shown
-    fit = pj.fit_camera(scene, mask, single(CAMERA), weight=1.0 * shown)
+    mask = (IMAGE > 0.5) & shown
+    fit = pj.fit_camera(SCENE, mask, single(CAMERA), weight=1.0 * shown)
     assert fit.mask_error == (0.0, 0.0)
 
 
 @pytest.mark.long
-def test_scale_of_the_weights_does_not_matter(scene, image):
+def test_scale_of_the_weights_does_not_matter():
     # (Generalised least squares end a tenth of a standard error apart.)
-    for mask, rtol in ((image > 0.5, 0.05), (wavy(image, np.random.default_rng(0), 1, 10), 1.0)):
+    for mask, rtol in ((IMAGE > 0.5, 0.05), (wavy(IMAGE, np.random.default_rng(0), 1, 10), 1.0)):
         one, other = (
-            pj.fit_camera(scene, mask, single(CAMERA), weight=np.full(mask.shape, scale))
+            pj.fit_camera(SCENE, mask, single(CAMERA), weight=np.full(mask.shape, scale))
             for scale in (1.0, 0.01)
         )
         assert_allclose(one.mask_error.px, other.mask_error.px, rtol=rtol)
@@ -114,23 +106,23 @@ def test_scale_of_the_weights_does_not_matter(scene, image):
         assert_allclose(one.std, other.std, rtol=rtol)
 
 
-def test_mask_that_shows_little_is_uncertain(scene):
+def test_mask_that_shows_little_is_uncertain():
     small = single(CAMERA.replace(e=[1.8, 6.0, 30.0]))
-    mask = wavy(drawn(small, scene), np.random.default_rng(0), 1.5, 8.0)
-    fit = pj.fit_camera(scene, mask, small)
+    mask = wavy(drawn(small, SCENE), np.random.default_rng(0), 1.5, 8.0)
+    fit = pj.fit_camera(SCENE, mask, small)
     assert fit.status in ("uncertain", "ambiguous")
     assert np.max(fit.std[:3]) > np.deg2rad(4)
     assert any("degrees (1 sigma)" in words or "is not visible" in words for words in fit.weak)
 
 
 @pytest.mark.parametrize("px", [3.0, full(-2.0)])
-def test_mask_that_is_grown_all_round_does_not_turn_the_camera(scene, image, px):
+def test_mask_that_is_grown_all_round_does_not_turn_the_camera(px):
     """(The least squares of pixels are 3.5 and 2.4 degrees off.)"""
-    grown, start = signed_distance(image) > -px, turned(single(CAMERA), [1, 2, 3], 5)
-    fit = pj.fit_camera(scene, grown, start)
+    grown, start = signed_distance(IMAGE) > -px, turned(single(CAMERA), [1, 2, 3], 5)
+    fit = pj.fit_camera(SCENE, grown, start)
     assert fit.status == "converged"
     assert degrees(fit, single(CAMERA)) < min(0.5, 3 * np.rad2deg(np.linalg.norm(fit.std[:3])))
-    assert degrees(pj.fit_camera(scene, grown, start, outlier_px=None), single(CAMERA)) > 1
+    assert degrees(pj.fit_camera(SCENE, grown, start, outlier_px=None), single(CAMERA)) > 1
 
 
 @pytest.mark.parametrize(("power", "length"), [(1, 16), (2, 40)])

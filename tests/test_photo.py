@@ -13,17 +13,9 @@ from pinhole_jax import shapes
 CAMERA = usual_camera(192, 160)
 START = turned(CAMERA, [1, 2, 3], 3)
 TURN = Rotation.from_euler("y", 120, degrees=True).as_matrix()
+SCENE = pj.Scene(shapes.bumpy(3))
+SHOWN = drawn(CAMERA, SCENE)
 FRONT, BACK = np.array([0.7, 0.3, 0.1]), np.array([0.1, 0.3, 0.5])
-
-
-@pytest.fixture(scope="module")
-def scene():
-    return pj.Scene(mesh=shapes.bumpy(3))
-
-
-@pytest.fixture(scope="module")
-def shown(scene):
-    return drawn(CAMERA, scene)
 
 
 def photo_of(shown, front=FRONT, back=BACK):
@@ -46,57 +38,57 @@ def off(fit):
     return np.array([np.rad2deg(angle), shift / 5])
 
 
-def test_photo_corrects_a_grown_mask(scene, shown):
-    by_mask = pj.fit_camera(scene, grown(shown), START)
-    fit = pj.fit_camera(scene, grown(shown), START, photo=photo_of(shown))
+def test_photo_corrects_a_grown_mask():
+    by_mask = pj.fit_camera(SCENE, grown(SHOWN), START)
+    fit = pj.fit_camera(SCENE, grown(SHOWN), START, photo=photo_of(SHOWN))
     assert np.all(off(fit) < off(by_mask) / 6)
     assert fit.status == "converged"
     assert "fitted to the photo" in fit.weak[-1]
     assert "px too large" in fit.weak[-1]
     # What is reported beside it is the mask's: it is larger than what is seen.
-    assert abs(fit.iou - np.sum(shown) / np.sum(grown(shown))) < 0.01
+    assert abs(fit.iou - np.sum(SHOWN) / np.sum(grown(SHOWN))) < 0.01
 
-    floats = photo_of(shown).astype(np.float32) / 255
-    again = pj.fit_camera(scene, grown(shown), START, photo=floats)
+    floats = photo_of(SHOWN).astype(np.float32) / 255
+    again = pj.fit_camera(SCENE, grown(SHOWN), START, photo=floats)
     np.testing.assert_allclose(pj.pose_error(again.camera, fit.camera), 0, atol=1e-4)
 
 
-def test_right_mask_is_kept(scene, shown):
-    for mask in (shown, shown > 0.5):
-        by_mask = pj.fit_camera(scene, mask, START)
-        fit = pj.fit_camera(scene, mask, START, photo=photo_of(shown))
+def test_right_mask_is_kept():
+    for mask in (SHOWN, SHOWN > 0.5):
+        by_mask = pj.fit_camera(SCENE, mask, START)
+        fit = pj.fit_camera(SCENE, mask, START, photo=photo_of(SHOWN))
         assert "fitted to the mask: its edge" in fit.weak[-1]
         np.testing.assert_array_equal(fit.camera.e, by_mask.camera.e)
         np.testing.assert_array_equal(fit.covariance, by_mask.covariance)
 
 
 @pytest.mark.long
-def test_colours_that_tell_nothing_leave_the_mask_alone(scene, shown):
-    by_mask = pj.fit_camera(scene, grown(shown), START)
-    for photo in (photo_of(shown, BACK, BACK), photo_of(np.roll(shown, 120, axis=1))):
-        fit = pj.fit_camera(scene, grown(shown), START, photo=photo)
+def test_colours_that_tell_nothing_leave_the_mask_alone():
+    by_mask = pj.fit_camera(SCENE, grown(SHOWN), START)
+    for photo in (photo_of(SHOWN, BACK, BACK), photo_of(np.roll(SHOWN, 120, axis=1))):
+        fit = pj.fit_camera(SCENE, grown(SHOWN), START, photo=photo)
         assert "fitted to the mask: the photo shows" in fit.weak[-1]
         np.testing.assert_array_equal(fit.camera.e, by_mask.camera.e)
 
 
-def beside(scene, masks, photos):
+def beside(masks, photos):
     """Return views of the scene in place, and turned by a third of a circle."""
     given = zip(masks, photos, (None, np.pad(TURN, (0, 1)) + np.diag([0, 0, 0, 1])), strict=True)
-    return [pj.JointView(scene, mask, photo=photo, placed=at) for mask, photo, at in given]
+    return [pj.JointView(SCENE, mask, photo=photo, placed=at) for mask, photo, at in given]
 
 
-def turned_away(scene):
+def turned_away():
     """The mask of the second view of `beside`."""
-    vertices = np.asarray(scene.mesh.vertices) @ TURN.T
-    return drawn(CAMERA, pj.Scene(mesh=pj.Mesh(vertices, scene.mesh.faces)))
+    vertices = np.asarray(SCENE.mesh.vertices) @ TURN.T
+    return drawn(CAMERA, pj.Scene(mesh=pj.Mesh(vertices, SCENE.mesh.faces)))
 
 
 @pytest.mark.long
-def test_photos_put_grown_masks_right_together(scene, shown):
-    seen = [shown, turned_away(scene)]
+def test_photos_put_grown_masks_right_together():
+    seen = [SHOWN, turned_away()]
     masks, pictures = [grown(x) for x in seen], [photo_of(x) for x in seen]
-    by_masks = pj.fit_joint(beside(scene, masks, (None, None)), START)
-    fit = pj.fit_joint(beside(scene, masks, pictures), START)
+    by_masks = pj.fit_joint(beside(masks, (None, None)), START)
+    fit = pj.fit_joint(beside(masks, pictures), START)
     errors = [off(f.cameras["camera"]) for f in (fit, by_masks)]
     assert np.all(errors[0] < errors[1] / 6)
     assert fit.status == "converged"
@@ -107,22 +99,22 @@ def test_photos_put_grown_masks_right_together(scene, shown):
 
     # A photo of something else is not believed, nor does it spoil the other's.
     pictures[1] = photo_of(np.roll(seen[1], 120, axis=1))
-    fit = pj.fit_joint(beside(scene, masks, pictures), START)
+    fit = pj.fit_joint(beside(masks, pictures), START)
     assert fit.weak[-2].startswith("view 0: fitted to the photo")
     assert "fitted to the mask" in fit.weak[-1]
     assert np.all(off(fit.cameras["camera"]) < errors[1] / 3)
 
 
-def test_view_with_a_bad_photo_is_named(scene, shown):
-    views = beside(scene, [shown, shown], [None, PHOTO[:, :100]])
+def test_view_with_a_bad_photo_is_named():
+    views = beside([SHOWN, SHOWN], [None, PHOTO[:, :100]])
     with pytest.raises(ValueError, match=r"`views\[1\]`: `photo`: expected .* \(160, 192, 3\)"):
         pj.fit_joint(views, START)
 
 
-def test_pixels_of_zero_weight_do_not_count_in_the_photo(scene, shown):
-    photo, mask, weight = photo_of(shown), grown(shown), np.ones(shown.shape)
+def test_pixels_of_zero_weight_do_not_count_in_the_photo():
+    photo, mask, weight = photo_of(SHOWN), grown(SHOWN), np.ones(SHOWN.shape)
     photo[:, :80], mask[:, :80], weight[:, :80] = (220, 0, 220), False, 0
-    fit = pj.fit_camera(scene, mask, START, weight=weight, photo=photo)
+    fit = pj.fit_camera(SCENE, mask, START, weight=weight, photo=photo)
     assert "fitted to the photo" in fit.weak[-1]
     assert np.all(off(fit) < [0.5, 0.01])
 
@@ -141,14 +133,14 @@ PHOTO = np.zeros((160, 192, 3), np.uint8)
         (np.where(PHOTO == 0, np.nan, 1.0), r"`photo`: expected finite values, got nan at \[0, 0"),
     ],
 )
-def test_photos_are_checked_at_the_door(scene, shown, photo, words):
+def test_photos_are_checked_at_the_door(photo, words):
     with pytest.raises(ValueError, match=words):
-        pj.fit_camera(scene, shown, START, photo=photo)
+        pj.fit_camera(SCENE, SHOWN, START, photo=photo)
 
 
-def test_fit_on_a_photo_is_not_differentiated(scene, shown):
+def test_fit_on_a_photo_is_not_differentiated():
     def eye(target):
-        return pj.fit_camera(scene, target, START, photo=photo_of(shown)).camera.e[0]
+        return pj.fit_camera(SCENE, target, START, photo=photo_of(SHOWN)).camera.e[0]
 
     with pytest.raises(ValueError, match="`photo`: expected none where the fit is differentiated"):
-        jax.grad(eye)(shown)
+        jax.grad(eye)(SHOWN)

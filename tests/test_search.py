@@ -11,10 +11,7 @@ from scipy.spatial.transform import Rotation
 import pinhole_jax as pj
 from pinhole_jax import shapes
 
-
-@pytest.fixture(scope="module")
-def scene():
-    return pj.Scene(mesh=shapes.bumpy(3))
+SCENE = pj.Scene(shapes.bumpy(3))
 
 
 def anywhere(seed: int, W: int = 96, H: int = 80) -> pj.Camera:
@@ -48,16 +45,16 @@ def test_ball_is_found_with_no_start():
 
 
 @pytest.mark.long
-def test_focal_length_can_be_a_guess(scene):
+def test_focal_length_can_be_a_guess():
     truth = anywhere(3)
-    fit = pj.fit_camera(scene, drawn(truth, scene), None, ("pose", "phi"))
+    fit = pj.fit_camera(SCENE, drawn(truth, SCENE), None, ("pose", "phi"))
     assert fit.status == "converged"
     assert degrees(fit, truth) < 1e-6
     assert abs(float(fit.camera.phi) - 0.6) < 1e-6
 
 
 @pytest.mark.parametrize("where", ["beside", "behind", "inside", "far", "upside down"])
-def test_start_that_misses_the_mask_is_pulled_in(scene, where):
+def test_start_that_misses_the_mask_is_pulled_in(where):
     truth = anywhere(0)
     e, p, u = (np.asarray(x) for x in (truth.e, truth.p, truth.u))
     arrays = {
@@ -68,7 +65,7 @@ def test_start_that_misses_the_mask_is_pulled_in(scene, where):
         "upside down": (e, p, -u),
     }[where]
     start = pj.Camera(*arrays, 0.6, 1.0, 96, 80)
-    fit = pj.fit_camera(scene, drawn(truth, scene), start)
+    fit = pj.fit_camera(SCENE, drawn(truth, SCENE), start)
     assert fit.status == "converged"
     assert degrees(fit, truth) < 1e-6
 
