@@ -3,7 +3,6 @@
 All meshes are filled up to one size, so that they share a compiled program.
 """
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +11,7 @@ import stress
 from chosen import first
 from hypothesis import HealthCheck, given, settings, strategies as st
 from numpy.testing import assert_allclose
+from slopes import gradients
 
 import pinhole_jax as pj
 
@@ -73,12 +73,6 @@ def test_order_of_faces_and_vertices_does_not_matter(seed):
     )
 
 
-@eqx.filter_jit
-def slopes(camera: pj.Camera, scene: pj.Scene, weight: jax.Array):
-    loss = lambda moving: jnp.sum(weight * pj.silhouette(*moving))
-    return eqx.filter_grad(loss)((camera, scene))
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("name", first(1, SLOPED, of=8))
 @settings(few, max_examples=2)
@@ -89,7 +83,7 @@ def test_derivatives_are_finite_and_know_no_origin(name, seed):
     view = stress.CASES[name](random)
     camera, vertices = stress.rounded(view, np.float64)
     weight = jnp.asarray(random.normal(size=(camera.H, camera.W)))
-    d_camera, d_scene = slopes(camera, stress.scene_of(view, vertices), weight)
+    d_camera, d_scene = gradients(camera, stress.scene_of(view, vertices), weight)
     for leaf in jax.tree.leaves((d_camera, d_scene)):
         assert np.all(np.isfinite(leaf))
     mesh, spheres = d_scene.mesh, d_scene.spheres
