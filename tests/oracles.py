@@ -112,9 +112,9 @@ def filled(vertices, faces, room: int) -> pj.Mesh:
     return eqx.tree_at(edges, mesh, tuple(map(fill, edges(mesh))))
 
 
-def random_camera(random: np.random.Generator, W: int, H: int, distance: float = 5.0):
+def random_camera(random: np.random.Generator, W: int, H: int):
     eye = random.normal(size=3)
-    eye *= distance / np.linalg.norm(eye)
+    eye *= 5 / np.linalg.norm(eye)
     return pj.Camera(eye, 0.1 * random.normal(size=3), random.normal(size=3), 0.6, 1.0, W, H)
 
 

@@ -101,6 +101,7 @@ def test_camera_from_K_projects_as_by_hand_and_differentiates():
 def test_float_type_follows_the_arguments(e, p, dtype):
     camera = pj.Camera(e, p, U, 0.5, W=2, H=2, lens=pj.Lens([1.0, 1.0]))
     assert {x.dtype for x in jax.tree.leaves(camera)} == {np.dtype(dtype)}
+    assert pj.project(camera, np.ones((2, 3), dtype)).dtype == dtype
 
 
 test_bad_arguments_are_refused = refuses(

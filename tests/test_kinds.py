@@ -24,8 +24,8 @@ def bytes_of(mask):
     return np.round(255 * mask).astype(np.uint8)
 
 
-def noisy(mask, sigma=0.02):
-    return mask + sigma * np.random.default_rng(0).normal(size=mask.shape)
+def noisy(mask):
+    return mask + 0.02 * np.random.default_rng(0).normal(size=mask.shape)
 
 
 def rounded(mask):

@@ -22,8 +22,8 @@ pytestmark = pytest.mark.skipif(not library.is_available(), reason="the library 
 EYE = jnp.array([0.3, 0.8, 4.0])
 
 
-def camera(e=EYE, W=24, H=18, lens=None):
-    return pj.Camera(e, jnp.zeros(3), jnp.array([0.0, 1, 0]), 0.8, W=W, H=H, lens=lens)
+def camera(e, lens=None):
+    return pj.Camera(e, jnp.zeros(3), jnp.array([0.0, 1, 0]), 0.8, W=24, H=18, lens=lens)
 
 
 RANDOM = np.random.default_rng(3)

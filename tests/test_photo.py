@@ -28,8 +28,8 @@ def photo_of(shown, front=FRONT, back=BACK):
     return np.round(255 * np.clip(noisy, 0, 1)).astype(np.uint8)
 
 
-def grown(shown, px=2):
-    return binary_dilation(shown > 0.5, iterations=px)
+def grown(shown):
+    return binary_dilation(shown > 0.5, iterations=2)
 
 
 def off(fit):

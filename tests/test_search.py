@@ -14,12 +14,12 @@ from pinhole_jax import shapes
 SCENE = pj.Scene(shapes.bumpy(3))
 
 
-def anywhere(seed: int, W: int = 96, H: int = 80) -> pj.Camera:
+def anywhere(seed: int) -> pj.Camera:
     """A camera 5 units from the origin, turned at random, the object not in the middle."""
     random = np.random.default_rng(seed)
     axes = Rotation.random(random_state=seed).as_matrix()
     e = -5 * axes[2] + random.uniform(-0.4, 0.4, 2) @ axes[:2]
-    return pj.Camera(e, e + 5 * axes[2], axes[1], 0.6, 1.0, W, H)
+    return pj.Camera(e, e + 5 * axes[2], axes[1], 0.6, 1.0, 96, 80)
 
 
 @pytest.mark.parametrize("subdivisions", [3, long(7)])

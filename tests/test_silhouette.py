@@ -37,8 +37,8 @@ def gentle(seed=0):
     return np.asarray(mesh.vertices), np.asarray(mesh.faces)
 
 
-def noisy_sphere(subdivisions=2):
-    sphere = trimesh.creation.icosphere(subdivisions)
+def noisy_sphere():
+    sphere = trimesh.creation.icosphere(2)
     noise = np.random.default_rng(1).normal(size=(len(sphere.vertices), 1))
     return sphere.vertices * (1 + 0.08 * noise), sphere.faces
 

@@ -25,10 +25,10 @@ def shuffled(vertices, faces):
     return vertices, np.random.default_rng(0).permutation(faces)
 
 
-def with_slivers(number=12):
+def with_slivers():
     """Cut faces open at the middles of some sides, and close the gaps with faces without area."""
     vertices, faces, random = list(VERTICES), FACES.tolist(), np.random.default_rng(1)
-    for k in random.choice(len(FACES), number, replace=False):
+    for k in random.choice(len(FACES), 12, replace=False):
         a, b, c = faces[k]
         # A middle that is exactly on the line: in numbers of few bits.
         vertices[a], vertices[b] = (np.round(vertices[i] * 64) / 64 for i in (a, b))
