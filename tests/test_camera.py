@@ -181,7 +181,7 @@ def test_camera_prints_as_a_table_and_its_gradient_as_one():
         assert part in text
     assert "(nan, nan, nan)   eye" in str(jax.tree.map(lambda x: x * np.nan, far))
     jax.jit(lambda c: str(c) and c.e)(far)
-    slope = jax.grad(lambda c: pj.project(c, jnp.ones(3))[0])(PLAIN)
+    slope = jax.jit(jax.grad(lambda c: pj.project(c, jnp.ones(3))[0]))(PLAIN)
     assert str(slope).startswith("Gradient, or change, of a camera of 200 x 100 px\n")
     assert f"{float(slope.phi):.6g}" in str(slope)
     assert "degrees" not in str(slope)
