@@ -65,10 +65,10 @@ def test_fit_of_each_subset_of_parameters_finds_the_truth(free, change):
 def test_targets_may_be_bool_uint8_or_float():
     start = turned(CAMERA, [1, 2, 3], 8)
     for target, worst in (
-        (image > 0.5, 0.3),
-        (np.round(255 * image).astype(np.uint8), 0.01),
-        (image.astype(np.float32), 1e-4),
-        (0.1 + 0.7 * image, 1e-4),  # its levels stand for 0 and 1
+        (EXACT > 0.5, 0.3),
+        (np.round(255 * EXACT).astype(np.uint8), 0.01),
+        (EXACT.astype(np.float32), 1e-4),
+        (0.1 + 0.7 * EXACT, 1e-4),  # its levels stand for 0 and 1
     ):
         fit = pj.fit_camera(SCENE, target, start)
         assert fit.status == "converged"

@@ -18,6 +18,12 @@ def test_pose_error_is_the_angle_turned_and_the_way_moved(degrees):
     assert_allclose(shift, expected)
 
 
+def test_pose_error_is_free_of_the_gauge():
+    other = pj.Camera(CAMERA.e, CAMERA.e + 3 * (CAMERA.p - CAMERA.e), 2 * CAMERA.u, 0.3, 5.0, 8, 8)
+    angle, shift = pj.pose_error(CAMERA, other)
+    assert_allclose([angle, shift], 0, atol=1e-15)
+
+
 def test_pose_error_has_a_finite_derivative_at_zero():
     slope = jax.jit(jax.grad(lambda c: pj.pose_error(c, CAMERA)[0]))(CAMERA)
     assert all(np.all(np.isfinite(x)) for x in jax.tree.leaves(slope))
