@@ -85,8 +85,7 @@ class Rules:
     #: likely it is: segmenters are off by as much as they waver, grown or shrunk masks by more.
     biases: tuple[tuple[float, float, float], ...] = ((1.0, 0.5, 0.8), (2.0, 2.5, 0.2))
     #: So likely, a mask is called computed; as unlikely, drawn. Between, error bars are the mean of
-    #: both. (With 0.9 those of small masks of one bit are right, not 1.8 times too wide; but two of
-    #: 200 drawn masks, whose bias a camera's distance hides, are 15 sigma off.)
+    #: both, each as likely as it is.
     sure: float = 0.99
     #: The share of a computed mask's pixels beside the outline on its wrong side: those whose
     #: coverage differs by more than `wrong_side`. (Of 72 masks one had one, of 196; shrunk or

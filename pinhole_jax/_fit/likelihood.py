@@ -104,7 +104,7 @@ class Likelihood:
     mask may be computed or drawn."""
 
     def __init__(self, edge: Edge, quantisation: float):
-        self.edge, self._computed = edge, True
+        self.edge, self._computed = edge, None
         self._blocks = edge.blocks(RULES.stretches, RULES.stretch)
         self._rounding = max(quantisation, EXACT_PX**2)
 
@@ -124,12 +124,11 @@ class Likelihood:
         variance = self._rounding / float(np.mean(self._blocks.length))
         return ErrorModel(self._middles, variance, lengths, shapes)
 
-    @cached_property
-    def drawn(self) -> "Likelihood":
-        """The likelihood if the mask is surely drawn, by the same models."""
-        drawn = copy(self)
-        drawn._computed = False
-        return drawn
+    def knowing(self, computed: float) -> "Likelihood":
+        """The likelihood if so likely the mask is computed, by the same models."""
+        known = copy(self)
+        known._computed = computed
+        return known
 
     def account(self, outline: OutlinePoints | None, roughly: bool = False) -> Account | None:
         """The account by a camera that sees an outline; None where there is none. `roughly`: with

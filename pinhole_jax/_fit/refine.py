@@ -134,21 +134,24 @@ class Refiner:
         some = said is not None and np.any(said.gross)
         wide = self._near(RULES.times, said) if some else self.solver
         errors = mask_errors(wide, found.view)
-        if not (said is None or self.plainly or is_computed(errors)):
+        if not (said is None or errors is None or self.plainly or is_computed(errors)):
             if self.solver.kind.hard and not said.is_drawn:
-                found, said = self._drawn(found, near, is_drawn(errors))
+                found, said = self._perhaps_drawn(found, near, errors)
             move = said.errors.move
             covariance = said.errors.covariance + np.outer(move, move)
         whole = self.solver.look(found.camera, self.solver.finest)
         return Candidate(found, whole, said, near, wide, covariance)
 
-    def _drawn(self, found: Solution, near: Solver, surely: bool) -> tuple[Solution, Account]:
-        """A camera, and its account if the mask is drawn though its edge does not show it. If it is
-        so surely, by its pixels: the end of generalised least squares, where these come to rest."""
-        drawn = replace(self, likelihood=self.likelihood.drawn)
+    def _perhaps_drawn(
+        self, found: Solution, near: Solver, errors: OutlineErrors
+    ) -> tuple[Solution, Account]:
+        """A camera, and its account if the mask may be drawn though its edge does not show it. If
+        it is so surely, by its pixels: the end of generalised least squares, where these come to
+        rest."""
+        drawn = replace(self, likelihood=self.likelihood.knowing(errors.computed))
         said = drawn.account(found.camera)
         assert said is not None
-        likelier = drawn._likelier(found, said, -np.inf, []) if surely else None
+        likelier = drawn._likelier(found, said, -np.inf, []) if is_drawn(errors) else None
         if likelier is None or not likelier[0].ended:
             return found, said
         ended, said = likelier

@@ -14,6 +14,7 @@ from .._camera.camera import Camera
 from .._mask.kinds import Kind
 from .._numerics.arrays import ArrayLike, Input, is_concrete
 from .._outline.outline_errors import OutlineErrors, is_drawn
+from .._outline.stretches import quantised
 from .._rules import RULES
 from .._solver.looks import Sums, View
 from .._solver.moves import Bounds, displaced, on_film
@@ -358,11 +359,13 @@ def gradients(view: View, variance: float, context: Context) -> tuple[np.ndarray
     """Return the covariance (n, n) of J^T r if residuals are independent, and as the mask errs."""
     triangle = np.asarray(view.triangle, float)
     independent, errors = variance * triangle.T @ triangle, context.errors
-    if errors is None:
-        return independent, independent
     # What is not of this mask's pixels, as a prior, keeps its variance.
-    beside, share = variance * view.known.T @ view.known, errors.computed
-    return independent, share * independent + (1 - share) * beside + errors.gradient
+    beside = variance * view.known.T @ view.known
+    computed = variance * quantised(view) + beside if context.kind.hard else independent
+    if errors is None:
+        return independent, computed
+    share = errors.computed
+    return independent, share * computed + (1 - share) * beside + errors.gradient
 
 
 def uncertain_rotation(

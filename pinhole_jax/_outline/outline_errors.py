@@ -86,17 +86,18 @@ def outline_errors(
 
 def _odds_of_computed(beyond: int, pixels: int) -> float:
     """The logarithm of the odds that a mask of one bit is computed, by the number of an outline's
-    pixels on the wrong side: a drawn one may have any share of them, up to a half.
+    pixels on the wrong side: a drawn one may as well have any share of them, up to a half.
 
     Where an outline is drawn, offsets of whole stretches may be those of a camera that is wrong,
     and what is left no larger than quantisation; but not its single pixels.
     """
-    from scipy.special import logsumexp
+    from scipy.special import betainc, betaln
 
-    shares = np.geomspace(RULES.strays, 0.5, 100)
-    likely = lambda share: beyond * np.log(share) + (pixels - beyond) * np.log1p(-share)
-    drawn = logsumexp(likely(shares)) - np.log(len(shares))
-    return float(likely(RULES.strays) - drawn)
+    right = pixels - beyond
+    computed = beyond * np.log(RULES.strays) + right * np.log1p(-RULES.strays)
+    parts = beyond + 1.0, right + 1.0
+    drawn = betaln(*parts) + np.log(2 * betainc(*parts, 0.5))
+    return float(computed - drawn)
 
 
 def _weighed(stretches: Stretches, quantisation: float, odds: float) -> OutlineErrors:
@@ -253,15 +254,15 @@ class ErrorModel:
         offset: np.ndarray,
         by_move: np.ndarray,
         gross: np.ndarray | None = None,
-        computed: bool = True,
+        computed: float | None = None,
     ) -> ErrorFit:
-        """How likely offsets are, all hypotheses together, and where the camera is likeliest; the
-        mask may be `computed`, or is drawn."""
-        from scipy.special import logsumexp
+        """How likely offsets are, all hypotheses together, and where the camera is likeliest;
+        `computed`: how likely it is that the mask is, if more than offsets tells."""
+        from scipy.special import logit, logsumexp
 
         found = self.evidence(offset, by_move, gross)
-        if not computed:
-            found.log[0] = -np.inf
+        if computed is not None:
+            found.log[0] = logsumexp(found.log[1:]) + logit(computed)
         total: Any = logsumexp(found.log)
         share, likeliest = np.exp(found.log - total), int(np.argmax(found.log))
         move = _mode(found)

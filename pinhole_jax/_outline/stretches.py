@@ -14,6 +14,8 @@ from .._solver.looks import HIDDEN, View
 #: What a pixel's coverage differs by counts for the stretch nearest to it, this many px away at
 #: most.
 NEAREST = 16.0
+#: As many terms of a sawtooth's Fourier series; what is left is as of independent pixels.
+HARMONICS = 6
 
 
 class Stretches(NamedTuple):
@@ -130,6 +132,35 @@ def outline_pixels(view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     share = np.asarray(view.pixels.coverage, float)[shown]
     place = _places(view.pixels, view.level)[shown]
     return place, rows / np.sqrt(weight[shown])[:, None], share
+
+
+def quantised(view: View) -> np.ndarray:
+    """The covariance (n, n) of half the gradient of the sum of squares, of pixels of one bit whose
+    errors have the variance 1.
+
+    Where an outline crosses a row of pixels, one bit errs as a sawtooth of coverage: on the way
+    from 0 to 1 errors cancel, and along an edge that nearly follows the row they are alike. Of two
+    pixels whose coverage differs by s the correlation is 1 - 6 s (1 - s), here as a Fourier series;
+    rows are independent. The mean of this and of independent pixels is taken: edges bend. (Of 500
+    masks of one bit errors are 0.99 sigma, of straight-edged brackets 0.7 if all are independent.)
+    """
+    (row, column), shown = _places(view.pixels, view.level).T, _shown(view.pixels, view.level)
+    up, right = Coverage.from_view(view).growth(row, column)
+    lies = np.abs(up) >= np.abs(right)  # (along the row)
+    line, along = np.where(lies, row, column), np.where(lies, column, row)
+    side = 2 * lies + (np.where(lies, up, right) > 0)
+    order = np.lexsort((along, line, side))
+    order = order[shown[order]]
+    if not order.size:
+        return np.zeros((view.jacobian.shape[1],) * 2)
+    step = np.diff(np.stack([side, line, along])[:, order], axis=1, prepend=-2)
+    begins = np.flatnonzero(np.any(step != [[0], [0], [1]], axis=0))
+    rows = view.jacobian[: len(shown)][order].astype(float)
+    phase = np.exp(2j * np.pi * np.asarray(view.pixels.coverage, float)[order])[:, None]
+    parts = 6 / (np.pi * np.arange(1, HARMONICS + 1)) ** 2
+    sums = [np.add.reduceat(rows * phase**k, begins) for k in range(1, HARMONICS + 1)]
+    alike = sum(part * (x.conj().T @ x).real for part, x in zip(parts, sums, strict=True))
+    return (alike + (2 - parts.sum()) * rows.T @ rows) / 2
 
 
 class OutlineMeans(NamedTuple):
