@@ -14,8 +14,9 @@ from .._solver.looks import HIDDEN, View
 #: What a pixel's coverage differs by counts for the stretch nearest to it, this many px away at
 #: most.
 NEAREST = 16.0
-#: As many terms of a sawtooth's Fourier series; what is left is as of independent pixels.
-HARMONICS = 6
+#: As many terms of a sawtooth's Fourier series, and the variance that pixels have by themselves,
+#: since edges bend.
+HARMONICS, BENT = 6, 0.2
 
 
 class Stretches(NamedTuple):
@@ -141,8 +142,7 @@ def quantised(view: View) -> np.ndarray:
     Where an outline crosses a row of pixels, one bit errs as a sawtooth of coverage: on the way
     from 0 to 1 errors cancel, and along an edge that nearly follows the row they are alike. Of two
     pixels whose coverage differs by s the correlation is 1 - 6 s (1 - s), here as a Fourier series;
-    rows are independent. The mean of this and of independent pixels is taken: edges bend. (Of 500
-    masks of one bit errors are 0.99 sigma, of straight-edged brackets 0.7 if all are independent.)
+    rows are independent.
     """
     (row, column), shown = _places(view.pixels, view.level).T, _shown(view.pixels, view.level)
     up, right = Coverage.from_view(view).growth(row, column)
@@ -160,7 +160,7 @@ def quantised(view: View) -> np.ndarray:
     parts = 6 / (np.pi * np.arange(1, HARMONICS + 1)) ** 2
     sums = [np.add.reduceat(rows * phase**k, begins) for k in range(1, HARMONICS + 1)]
     alike = sum(part * (x.conj().T @ x).real for part, x in zip(parts, sums, strict=True))
-    return (alike + (2 - parts.sum()) * rows.T @ rows) / 2
+    return alike + (BENT + 1 - parts.sum()) * rows.T @ rows
 
 
 class OutlineMeans(NamedTuple):
