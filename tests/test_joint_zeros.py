@@ -113,7 +113,7 @@ def test_joint_that_masks_do_not_show_keeps_its_prior(misread):
 
 
 def test_observability_of_joint_zeros_equals_polygon_differences(misread):
-    """But for pixels in which two links end: a small picture has some."""
+    """Where several links end in a pixel as well: a small picture has some."""
     told = pj.joint_observability(
         misread[:1], BEFORE, "phi", joint_zeros=1.0, prior={"phi": (0.6, 1e-9)}, noise=0.1
     )
@@ -121,4 +121,4 @@ def test_observability_of_joint_zeros_equals_polygon_differences(misread):
     ends = [(shown(x) - shown(-x)).ravel() / 2e-5 for x in 1e-5 * np.eye(3)]
     information = np.eye(3) + ends @ np.transpose(ends) / 0.1**2
     assert [name.split()[0] for name in told.names] == ["camera", "shoulder", "elbow", "wrist"]
-    np.testing.assert_allclose(told.std[1:] ** 2, np.diag(np.linalg.inv(information)), rtol=0.05)
+    np.testing.assert_allclose(told.std[1:] ** 2, np.diag(np.linalg.inv(information)), rtol=2e-3)

@@ -78,10 +78,10 @@ def fit_joint(
 
     Each view is reduced to a few rows by the program of a single fit; unknowns of few views are
     eliminated there. So the cost is linear in views and cameras, and nothing is compiled that
-    `fit_camera` does not compile (from 32 small masks on, one program more). Levenberg-Marquardt
-    goes from coarse to fine. Then views with larger residuals than most count less
-    (`JointFit.views`). The error bars follow from the masks' errors, and grow if views differ by
-    more than these explain.
+    `fit_camera` does not compile (one program more from 32 small masks on, or for `joint_zeros`).
+    Levenberg-Marquardt goes from coarse to fine. Then views with larger residuals than most count
+    less (`JointFit.views`). The error bars follow from the masks' errors, and grow if views differ
+    by more than these explain.
 
     Runs outside `jit` and `vmap`. Cameras, objects' poses and scales of the result are
     differentiable (once, forward and reverse) with respect to views' scenes, targets, weights,

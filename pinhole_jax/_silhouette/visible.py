@@ -133,15 +133,6 @@ def _parts(ends: Float[np.ndarray, "n 2 2"], step: float) -> tuple[np.ndarray, n
     of it (0 to 1) at its beginning, middle and end (3, n)."""
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     counts = np.clip(np.ceil(length / step), 1, MOST_PARTS).astype(int)
-    line, rank = ranks(counts)
+    line = np.repeat(np.arange(len(counts)), counts)
+    rank = np.arange(len(line)) - (np.cumsum(counts) - counts)[line]
     return line, (rank + np.array([[0], [0.5], [1]])) / counts[line]
-
-
-def ranks(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return each item's group and its rank there, for groups of these sizes."""
-    group = np.repeat(np.arange(len(counts)), counts)
-    return group, np.arange(len(group)) - (np.cumsum(counts) - counts)[group]
-
-
-#: `contour_weights` as a program of its own.
-edge_weights = eqx.filter_jit(contour_weights)
