@@ -46,8 +46,6 @@ DESIGNS = (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0, 4096.0)
 NOTHING = 1e-10
 #: A parameter moves along a direction if by more than this share of the largest move.
 HARDLY = 1e-6
-#: A smaller share of the information on what is shared is rounding.
-CLEAR = 1e-11
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,21 +204,6 @@ def width_by_few(freedom: float) -> float:
     from scipy.stats import t
 
     return float(t.ppf(0.975, freedom)) / NORMAL_95
-
-
-def known_by_others(solved: LinearSolution, part: Rows, shared: np.ndarray) -> np.ndarray:
-    """Residuals (s, s) of all other parts by the unknowns that a part shares with them (which of
-    its columns): their information is that of all, less the part's, its own unknowns eliminated."""
-    own, m = part.rows[:, ~shared], int(np.sum(~shared))
-    r: Any = np.linalg.qr(np.column_stack([own, part.rows[:, shared]]), mode="r")
-    root = solved.root(part.columns[shared])
-    spread = np.linalg.norm(root, axis=1)
-    unit = np.where(spread > 0, 1 / np.where(spread > 0, spread, 1), 0)
-    total = np.linalg.pinv((root @ root.T) * np.outer(unit, unit), CLEAR, hermitian=True)
-    rest = r[m:, m:] * spread
-    values, vectors = np.linalg.eigh(total - rest.T @ rest)
-    values = np.where(values > CLEAR * np.max(np.abs(total), initial=0), values, 0)
-    return np.sqrt(values)[:, None] * vectors.T * unit
 
 
 def agree(

@@ -2,8 +2,8 @@
 
 What one view alone leaves open, the others tell: guesses are ranked, and followed, together. A pose
 that only one view shows is asked for what `fit_camera` asks of its mask: do walks along nearly free
-moves, or views that look alike, explain it as well or better? What the other views know of the lens
-that they share is among its residuals then, linear in its parameters.
+moves, or views that look alike, explain it as well or better? The lens that it shares with others
+is held, by residuals that are linear in its parameters.
 """
 
 from collections import Counter
@@ -25,16 +25,13 @@ from .._mask.mask import Mask
 from .._mask.search import guesses
 from .._outline.statistics import is_explained
 from .._rules import RULES
-from .._solver.least_squares import LinearSolution, solve
-from .._solver.moves import canonical, on_film
-from .._solver.parameters import LABELS, labels_of
+from .._solver.moves import canonical, on_film, reported
 from .._solver.priors import Prior
 from .._solver.solver import Solution, Solver
-from .agreement import known_by_others
 from .door import share_means
 from .levels import Path, Tell, descend
 from .system import JointProblem, LevelEnd
-from .views import SCALE, State
+from .views import SCALE, State, indices
 
 #: Of each view this many guesses are tried, so far apart (rad), and this many of all followed
 #: further. (Before an arm 4 and 2 find all of 8 cameras as well, in half the time, 1.6 for 3.0 s;
@@ -134,47 +131,42 @@ def _squares_alike(problem: JointProblem, path: Path) -> float:
 
 def _lone_poses(problem: JointProblem, path: Path | None) -> list[LonePose]:
     """The poses that views show by themselves. What several of them show is held; a pose of one
-    view knows of that what the others do at a path's end."""
-    views, solved, result = [*map(problem.unknowns_of, range(len(problem.eyes)))], None, []
+    view has the lens that it shares held where the path ends."""
+    views, result = [*map(problem.unknowns_of, range(len(problem.eyes)))], []
     number = Counter(unknown for view in views for unknown in view)
-    if path is not None and all(np.all(np.isfinite(s.view.triangle)) for s in path.descent.seen):
-        state, seen = path.descent.state, path.descent.seen
-        parts = problem.parts(state, seen, problem.noise(seen))
-        solved = solve(parts, problem.size, np.zeros(problem.size))
     for name, numbers in problem.lone_poses.items():
         shown = Counter(unknown for k in numbers for unknown in views[k])
         part = problem.only(numbers, [u for u in problem.unknowns if 0 < shown[u] == number[u]])
         if len(numbers) == 1 and len(part.unknowns) < len(shown):
             part = replace(part, unknowns=[u for u in problem.unknowns if u in shown])
-            if path is not None and solved is not None:
-                others, eye = _others(problem, numbers[0], path, solved), part.eyes[0]
-                part = replace(part, eyes=[replace(eye, solver=eye.solver.beside(others))])
+            if path is not None and np.all(
+                np.isfinite(path.descent.seen[numbers[0]].view.triangle)
+            ):
+                held, eye = _held(problem, numbers[0], path), part.eyes[0]
+                part = replace(part, eyes=[replace(eye, solver=eye.solver.beside(held))])
         result.append(LonePose(name, part, numbers))
     return result
 
 
-def _others(problem: JointProblem, k: int, path: Path, solved: LinearSolution) -> Prior:
-    """The knowledge that other views have of the lens's parameters that a view shares with them."""
-    eye, seen, camera = problem.eyes[k], path.descent.seen[k], problem.eyes[k].canonical
-    unknowns, rows, view = problem.unknowns_of(k), problem.view_rows(k, seen), seen.view
-    shared = np.repeat([len(u.cameras) > 1 for u in unknowns], [u.size for u in unknowns])
-    slope = -(rows.left @ rows.rows)[shared]  # all views' squares are least
+def _held(problem: JointProblem, k: int, path: Path) -> Prior:
+    """What holds the lens's parameters that a view shares with others at a path's end: it counts as
+    much as what the view itself sees best.
 
-    # By moves. None counts more than what the view itself sees best: it is that to which it
-    # compares what it hardly sees, and with many others it would hardly see anything.
-    by_unknown = np.linalg.pinv(seen.moves[:, shared])
-    root = known_by_others(solved, rows, shared) @ by_unknown
-    _, values, directions = np.linalg.svd(root, full_matrices=False)
-    values = np.minimum(values, np.linalg.norm(np.asarray(view.triangle, float), 2))
-    by_moves = np.zeros((len(seen.moves),) * 2)
-    by_moves[: len(values)] = values[:, None] * directions
-    left = np.linalg.lstsq(by_moves.T, by_unknown.T @ slope, rcond=None)[0]
-    of_label = [LABELS[label].value for label in labels_of(eye.solver.freed)]
-    here = [value(camera(path.descent.state)) if value else 0.0 for value in of_label]
-    by_labels = by_moves @ np.linalg.pinv(np.asarray(view.to_reported, float))
-    return Prior(
-        *(jnp.asarray(np.array(x, float), eye.solver.dtype) for x in (by_labels, here, left))
+    (To that the view compares what it hardly sees: with more it would hardly see anything.)
+    """
+    eye, view = problem.eyes[k], path.descent.seen[k].view
+    freed, triangle = eye.solver.freed, np.asarray(view.triangle, float)
+    kinds = [u.kind for u in problem.unknowns_of(k) if len(u.cameras) > 1]
+    place = np.concatenate([np.zeros(0, int), *(indices(freed, kind) for kind in kinds)])
+    most, left = np.linalg.norm(triangle, 2), np.zeros(len(triangle))
+    rows = (
+        most * np.isin(np.arange(len(triangle)), place)[:, None] * np.linalg.pinv(view.to_reported)
     )
+    # (All views' squares are least: the others pull as this one does.)
+    left[place] = -(view.along @ triangle)[place] / most
+    camera = eye.canonical(path.descent.state)
+    at = reported(camera, camera, freed)
+    return Prior(*(jnp.asarray(np.array(x, float), eye.solver.dtype) for x in (rows, at, left)))
 
 
 def _places(
