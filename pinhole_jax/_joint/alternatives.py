@@ -143,7 +143,7 @@ def _lone_poses(problem: JointProblem, path: Path | None) -> list[LonePose]:
                 np.isfinite(path.descent.seen[numbers[0]].view.triangle)
             ):
                 held, eye = _held(problem, numbers[0], path), part.eyes[0]
-                part = replace(part, eyes=[replace(eye, solver=eye.solver.beside(held))])
+                part = part.seeing({0: replace(eye, solver=eye.solver.beside(held))})
         result.append(LonePose(name, part, numbers))
     return result
 
@@ -197,7 +197,7 @@ def _paths_of_one_view(
     """Paths of the pose of one view, by what `fit_camera` asks of its mask."""
     problem, (eye,) = pose.problem, pose.problem.eyes
     state = problem.start if here is None else here.descent.state
-    solver, camera, _ = eye.standpoint(state)
+    solver, camera = eye.standpoint(state)
     begin = None if start is None else eye.canonical(start)
     mask = replace(eye.mask, camera=on_film(camera, eye.mask.camera))
     silent = lambda news: None

@@ -146,7 +146,7 @@ def fit_cameras(
     - `progress`: as in `fit_camera`; a function is called with words after each level.
 
     It is `fit_joint` of one scene before separate cameras. Each view is searched as in
-    `fit_camera`, with the others' knowledge of shared parameters. Places that fit as well are its
+    `fit_camera`, shared parameters held where all views have them. Places that fit as well are its
     `modes` ("ambiguous"); from better ones all descend. Moves that are free over an interval widen
     the covariance (`weak`, "rank_deficient"). A start rules out what is far from
     it; where a mask matches badly, the whole sphere of views is searched.

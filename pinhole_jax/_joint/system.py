@@ -308,7 +308,7 @@ class JointProblem:
 
     def look(self, state: State) -> list[ViewRows]:
         """All views at a state."""
-        sights = [(*e.standpoint(state)[:2], e.level(self.depth)) for e in self.eyes]
+        sights = [(*e.standpoint(state), e.level(self.depth)) for e in self.eyes]
         look = lambda sight: sight[0].look(*sight[1:])
         views = in_threads(look, sights, lambda sight: sight[0].program(*sight[1:]))
         return [self.rows_of(k, state, view) for k, view in enumerate(views)]

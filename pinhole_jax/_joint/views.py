@@ -104,11 +104,10 @@ class Unknown(NamedTuple):
 
 class Standpoint(NamedTuple):
     """A view at a state: the solver of its scene, joints' zeros where they are; its own camera
-    (canonical) in the scene's frame, as the scene is given; that camera's pose."""
+    (canonical) in the scene's frame, as the scene is given."""
 
     solver: Solver
     camera: Camera
-    pose: Pose
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +139,7 @@ class Eye:
             if self.shot.posture is not None and np.any(offsets):
                 scene = self.shot.posture.scene(offsets)
                 solver = replace(solver, subject=solver.subject.elsewhere(scene))
-            self._last[:] = [(state, Standpoint(solver, camera, pose_of(camera)))]
+            self._last[:] = [(state, Standpoint(solver, camera))]
         return self._last[0][1]
 
     def canonical(self, state: State) -> Camera:
@@ -149,7 +148,7 @@ class Eye:
 
     def look(self, state: State) -> View:
         """The view on the finest level."""
-        solver, camera, _ = self.standpoint(state)
+        solver, camera = self.standpoint(state)
         return solver.look(camera, solver.finest)
 
     def weighed(
@@ -185,22 +184,17 @@ class Eye:
                 lenses[owner] = with_parameter(lenses[owner], row, camera)
         return state._replace(poses={**state.poses, name: moved}, lenses=lenses)
 
-    def by_twist(self, state: State, view: View) -> np.ndarray:
-        """Moves of the view's own camera (n, 6), in its solver's units, by a twist of it in the
-        world: whatever the scale of its scene."""
-        # (A solver's first moves, and the first numbers that it reports, are those of the pose.)
-        by_moves = np.asarray(view.to_reported, float)
-        result = np.zeros((by_moves.shape[1], TWIST))
-        by_twist = reported_twist(self.standpoint(state).pose[:3, :3])
-        result[:TWIST] = np.linalg.solve(by_moves[:TWIST, :TWIST], by_twist)
-        result[:, 3:] /= self.scale(state)
-        return result
-
     def moves(self, state: State, view: View, unknowns: list[Unknown]) -> np.ndarray:
         """Moves of the view's own camera (n, k), in its solver's units, by the poses, lenses and
         scales that it depends on."""
-        by_twist = self.by_twist(state, view)
-        pose = stretched(self.standpoint(state).pose, self.scale(state))
+        pose, by_moves = pose_of(self.canonical(state)), np.asarray(view.to_reported, float)
+        # Of a twist of the camera in the world, whatever the scale of its scene. (A solver's first
+        # moves, and the first numbers that it reports, are those of the pose.)
+        by_twist = np.zeros((by_moves.shape[1], TWIST))
+        of_pose = by_moves[:TWIST, :TWIST]
+        by_twist[:TWIST] = np.linalg.solve(of_pose, reported_twist(pose[:3, :3]))
+        by_twist[:, 3:] /= self.scale(state)
+        pose = stretched(pose, self.scale(state))
         parts = [np.zeros((len(by_twist), 0))]
         for name, kind, *_ in unknowns:
             if kind == SCALE:

@@ -54,7 +54,7 @@ def with_joints(
 
 def _changes_by_joints(eye: Eye, state: State, level: Level, joints: list[str]) -> np.ndarray:
     """How the coverage of a level's pixels follows joints (J, H, W), row 0 at the bottom."""
-    solver, camera, _ = eye.standpoint(state)
+    solver, camera = eye.standpoint(state)
     mesh, posture = solver.subject.scene.mesh, eye.shot.posture
     assert mesh is not None
     assert posture is not None

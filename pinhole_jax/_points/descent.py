@@ -7,16 +7,13 @@ from typing import NamedTuple
 import numpy as np
 
 from .._joint.levels import REACHES
-from .._joint.system import ViewRows
 from .._joint.views import State
 from .._solver.least_squares import Descent
 from .._solver.problem import FINE_PX
-from .noise import Noise, left_over, noise_of, prior_rows, rms_limit, squares_of
-from .reprojection import PointProblem
+from .noise import Noise
+from .reprojection import PointProblem, rms_limit, squares_of
 from .starts import rivals
 
-#: How often a prior is weighed anew by what the points err by.
-ROUNDS = 3
 #: A prior holds what is free where an error of a film height is not worth a thousandth of it.
 HOLDS = 1e3
 #: How often the views may go on from other places.
@@ -58,9 +55,11 @@ def descend(
         way.append((end.state, end.steps))
     jumps = 0
     while True:
-        noise = noise_of(problem, end.seen, variance)
+        # (Each view is compared, and reported, by what all points err by.)
+        noise = problem.shown(end.seen)
+        settled = replace(problem, known=noise)
         limits = [rms_limit(matches, variance, reach) for matches in problem.matches]
-        places = [rivals(problem, k, end, noise, limit) for k, limit in enumerate(limits)]
+        places = [rivals(settled, k, end, noise, limit) for k, limit in enumerate(limits)]
         moved = {k: some[0].state for k, some in enumerate(places) if some[0].steps}
         if jumps == JUMPS or not moved:
             break
@@ -68,7 +67,7 @@ def descend(
         problem, end = _descend_together(problem, _joined(problem, end, moved), variance, tell)
         way.append((end.state, end.steps))
     others = [[place for place in some if place.steps] for some in places]
-    return PointDescent(problem, end, others, way, noise, limits)
+    return PointDescent(settled, end, others, way, noise, limits)
 
 
 def _joined(problem: PointProblem, end: Descent, moved: Mapping[int, State]) -> State:
@@ -81,12 +80,20 @@ def _joined(problem: PointProblem, end: Descent, moved: Mapping[int, State]) -> 
 def _descend_together(
     problem: PointProblem, state: State, variance: float | None, tell: Tell
 ) -> tuple[PointProblem, Descent]:
-    """The problem, its priors weighed, and where the squares of all are least."""
-    end = problem.stay(state)
-    for k in range(ROUNDS if problem.priors else 1):
-        problem = replace(problem, error=_error(problem, end.seen, variance, k))
-        further = problem.descend(end.state, problem.max_steps, FINE_PX[problem.dtype])
-        end = further._replace(steps=end.steps + further.steps)
+    """The problem, and where the squares of all are least."""
+    px, spare, end = FINE_PX[problem.dtype], problem.left_over, problem.stay(state)
+    both = spare + sum(len(prior.labels) for prior in problem.priors)
+    known = None if variance is None else Noise(variance, np.inf)
+    if known is None and spare <= 0 < both:
+        # Priors alone leave something over: where they hold what is free, it is no less than points
+        # err by.
+        widest = max(float(np.max(prior.std)) / prior.part.H for prior in problem.priors)
+        firm = Noise((HOLDS * float(problem.matches[0].H) * widest) ** 2, np.inf)
+        end = replace(problem, known=firm).descend(state, problem.max_steps, px)
+        known = Noise(squares_of(end.seen) / both, both)
+    problem = replace(problem, known=known)
+    further = problem.descend(end.state, problem.max_steps, px)
+    end = further._replace(steps=end.steps + further.steps)
     weight = sum(matches.weight for matches in problem.matches)
     rms = (squares_of(end.seen) / weight) ** 0.5
     tell(f"{len(problem.eyes)} views: {end.steps} steps, {rms:.3g} px")
@@ -102,23 +109,3 @@ def _without_outliers(given: PointProblem, state: State, reach: float) -> PointP
         most = max(reach, float(np.median(off[matches.counts])))
         weights.append(np.where(off <= most, matches.given.weight, 0.0))
     return given.weighed(weights)
-
-
-def _error(
-    problem: PointProblem, seen: list[ViewRows], given: float | None, round_number: int
-) -> float:
-    """What the points err by (px), as priors are weighed.
-
-    If only priors leave coordinates over, they hold the free parameters in round 0: the noise that
-    round 1 estimates is then no less than the true one.
-    """
-    left = left_over(problem)
-    with_priors = left + prior_rows(problem)
-    if given is not None or left > 0:
-        return noise_of(problem, seen, given).variance ** 0.5
-    if with_priors <= 0 or round_number > 1:
-        return problem.error
-    if round_number == 0:
-        widest = max(float(np.max(prior.std)) / prior.part.H for prior in problem.priors)
-        return HOLDS * float(problem.matches[0].H) * widest
-    return Noise(squares_of(seen) / with_priors, with_priors).variance ** 0.5

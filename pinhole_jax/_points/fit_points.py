@@ -35,7 +35,7 @@ from .._solver.parameters import components, labels_of
 from .._solver.priors import Pair
 from .._solver.uncertainty import BLIND, covariance, weak_directions
 from .descent import PointDescent, descend
-from .noise import FEW, Noise, beyond_noise, coordinates
+from .noise import FEW, Noise, beyond_noise
 from .reprojection import Matches, PointArrays, PointEye, PointProblem, bend_and_pull
 from .starts import begin
 
@@ -326,14 +326,14 @@ def _reports(found: PointDescent, weights: np.ndarray) -> tuple[PointFit, ...]:
 
 def _solved(problem: PointProblem, end: Descent) -> tuple[LinearSolution, np.ndarray]:
     """What determines the unknowns at the end of a descent, and the squares' slope (size,)."""
-    parts = problem.parts(end.state, end.seen, problem.error)
+    parts = problem.parts(end.state, end.seen, problem.noise(end.seen))
     solved = solve(parts, problem.size, np.zeros(problem.size))
     return solved, slope_of(parts, problem.size)
 
 
 def _none_left_over(problem: PointProblem) -> str:
     """A sentence: nothing shows how far points err."""
-    some, unknowns = coordinates(problem), problem.size
+    some, unknowns = problem.coordinates, problem.size
     repeated = some < 2 * sum(len(matches.counts) for matches in problem.matches)
     return (
         f"{some} coordinates{' (repeated points count once)' * repeated} for {unknowns} unknowns:"

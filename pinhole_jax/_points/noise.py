@@ -5,10 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._joint.agreement import width_by_few
-from .._joint.system import ViewRows
 from .._solver.least_squares import LinearSolution, Rows
-from .._solver.problem import FINE_PX
-from .reprojection import Matches, PointProblem
 
 #: Squares may be larger by chance with this probability (an F test). Then a plane's wrong pose
 #: passes for the only one at most once in 2000 times.
@@ -16,15 +13,9 @@ CHANCE = 1e-3
 #: Intervals are widened where up to `FEW` coordinates show the variance (by 4 % then); from
 #: `MANY` on it is known.
 FEW, MANY = 30, 1e9
-#: Points whose distances from the camera's are this many times what a step may leave out are met
-#: exactly.
-EXACT = 100
 #: Views disagree more than by chance with this probability. What a view alone knows but for a
 #: share `OTHERS` no other can contradict.
 CHANCE_OF_VIEWS, OTHERS = 1e-2, 1e-3
-#: A camera that leaves this share of the points' spread on the film, or this share of its diagonal,
-#: is a misfit, but not below this many px; or this many times the error that is given.
-SPREAD, DIAGONAL, LEAST_PX, TIMES = 0.1, 0.02, 1.0, 2.0
 
 
 class Noise(NamedTuple):
@@ -70,22 +61,6 @@ def _widening(freedom: float) -> float:
     return width_by_few(freedom) if 0 < freedom <= FEW else 1.0
 
 
-def noise_of(problem: PointProblem, seen: list[ViewRows], given: float | None) -> Noise:
-    """The error of points: the `given` variance, or what residuals show. Where coordinates
-    do not suffice, priors count as well, as far as they hold what is free (`error`)."""
-    if given is not None:
-        return Noise(given, np.inf)
-    left = left_over(problem)
-    if left > 0:
-        count = 2 * sum(len(matches.counts) for matches in problem.matches)
-        return Noise(squares_of(seen) / (count - problem.size), left)
-    known = prior_rows(problem)
-    if not known or left + known <= 0:
-        return Noise(np.inf, 0)
-    left += known
-    return Noise((problem.error / _widening(left)) ** 2, left)
-
-
 def beyond_noise(parts: list[Rows], solved: LinearSolution, noise: Noise) -> np.ndarray:
     """The root B (s, s) by which views that disagree widen the covariance of shared moves: by
     B B^T times the noise's variance, 0 where independent errors explain it by chance.
@@ -122,42 +97,3 @@ def beyond_noise(parts: list[Rows], solved: LinearSolution, noise: Noise) -> np.
         return nothing
     values, vectors = np.linalg.eigh((1 - even) * middle + even * excess * np.eye(len(middle)))
     return back @ vectors * np.sqrt(np.maximum(values - 1, 0))
-
-
-def left_over(problem: PointProblem) -> int:
-    """The number of coordinates less that of unknowns; repeated points count once."""
-    return coordinates(problem) - problem.size
-
-
-def coordinates(problem: PointProblem) -> int:
-    """The number of different coordinates that points are seen by."""
-    return 2 * sum(len(matches.different(and_seen=True)) for matches in problem.matches)
-
-
-def squares_of(seen: list[ViewRows]) -> float:
-    """The sum of the squares of all points' residuals (px^2)."""
-    return sum(float(rows.view.sums.squares) for rows in seen)
-
-
-def prior_rows(problem: PointProblem) -> int:
-    """The number of priors: one for a shared parameter, else one for each view."""
-    return sum(len(prior.labels) for prior in problem.priors)
-
-
-def exact_squares(matches: Matches) -> float:
-    """The squares (px^2) that rounding and the last step leave."""
-    px = EXACT * FINE_PX[matches.dtype]
-    return px**2 * len(matches.counts)
-
-
-def rms_limit(matches: Matches, given: float | None, reach: float | None) -> float:
-    """The root mean square distance (px) above which a view's points are not explained: that
-    of the variance that is given, of outliers, or what is large on the film."""
-    if given is not None:
-        return TIMES * float(np.sqrt(2 * given * len(matches.counts) / matches.weight))
-    if reach is not None:
-        return reach
-    seen_at = matches.in_heights(matches.counts)[1]
-    spread = float(np.sqrt(np.sum(np.var(seen_at, axis=0))))
-    diagonal = float(np.hypot(matches.aspect, 1))
-    return max(LEAST_PX, float(matches.H) * min(SPREAD * spread, DIAGONAL * diagonal))

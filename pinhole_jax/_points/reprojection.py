@@ -27,11 +27,18 @@ from .._solver.least_squares import Rows
 from .._solver.looks import Sums, View
 from .._solver.moves import Bounds, Move, moved, reported
 from .._solver.parameters import components
-from .._solver.problem import move_about
+from .._solver.problem import FINE_PX, move_about
+from .noise import Noise
 
 #: A move of `UNIT_PX` counts as this many residuals of as much, as damping has it. (40 draws of 12
 #: points, phi and k1 free: 4.3 steps with 0.1 and 1, 4.8 with 10, 6.7 with 100, all end right.)
 FILM = 10.0
+#: Points whose distances from the camera's are this many times what a step may leave out are met
+#: exactly.
+EXACT = 100
+#: A camera that leaves this share of the points' spread on the film, or this share of its diagonal,
+#: is a misfit, but not below this many px; or this many times the error that is given.
+SPREAD, DIAGONAL, LEAST_PX, TIMES = 0.1, 0.02, 1.0, 2.0
 #: Points, and where they are seen, are repeated where they differ by less than this share of how
 #: far all spread.
 REPEATED = 1e-9
@@ -174,23 +181,42 @@ class PointEye(Eye):
 
     def standpoint(self, state: State) -> Standpoint:
         """The view at a state."""
-        return Standpoint(self.solver, state.lenses[self.shot.camera], self.mount)
+        return Standpoint(self.solver, state.lenses[self.shot.camera])
 
 
 @dataclass(frozen=True, eq=False)
 class PointProblem(JointProblem):
     """Views of points as one problem, whose unknowns are moves of cameras as such.
 
-    Priors are weighed by what points err by: `error` (px).
+    - `known`: how points err, where their residuals are not to show it.
     """
 
-    error: float = 1.0
+    known: Noise | None = None
     report = JointProblem.by_own_moves
 
     @property
     def matches(self) -> list[Matches]:
         """What each eye looks at."""
         return [eye.solver for eye in cast("list[PointEye]", self.eyes)]
+
+    @cached_property
+    def coordinates(self) -> int:
+        """The number of different coordinates that points are seen by; repeated ones count once."""
+        return 2 * sum(len(matches.different(and_seen=True)) for matches in self.matches)
+
+    @property
+    def left_over(self) -> int:
+        """The number of coordinates less that of unknowns."""
+        return self.coordinates - self.size
+
+    def shown(self, seen: list[ViewRows]) -> Noise:
+        """How points err, as is known or as their residuals show."""
+        if self.known is not None:
+            return self.known
+        if self.left_over <= 0:
+            return Noise(np.inf, 0)
+        count = 2 * sum(len(matches.counts) for matches in self.matches)
+        return Noise(squares_of(seen) / (count - self.size), self.left_over)
 
     def weighed(self, weights: Sequence[np.ndarray]) -> "PointProblem":
         """The problem whose points count so much, view by view."""
@@ -212,9 +238,9 @@ class PointProblem(JointProblem):
         return np.concatenate([indices(freed, u.kind) for u in self.unknowns_of(k)])
 
     def noise(self, seen: list[ViewRows]) -> float:
-        """What rows of priors err by."""
-        del seen
-        return self.error
+        """What rows of priors err by: as points do (px)."""
+        error = self.shown(seen).variance ** 0.5
+        return error if np.isfinite(error) else 1.0
 
     def rows_of(self, k: int, state: State, view: View) -> ViewRows:
         """A view, and its moves by the unknowns."""
@@ -238,6 +264,30 @@ class PointProblem(JointProblem):
             y[self.moves_of(k)] = x[self.columns(k)]
             cameras[name] = matches.stepped(cameras[name], y)
         return state._replace(lenses=cameras)
+
+
+def squares_of(seen: list[ViewRows]) -> float:
+    """The sum of the squares of all points' residuals (px^2)."""
+    return sum(float(rows.view.sums.squares) for rows in seen)
+
+
+def exact_squares(matches: Matches) -> float:
+    """The squares (px^2) that rounding and the last step leave."""
+    px = EXACT * FINE_PX[matches.dtype]
+    return px**2 * len(matches.counts)
+
+
+def rms_limit(matches: Matches, given: float | None, reach: float | None) -> float:
+    """The root mean square distance (px) above which a view's points are not explained: that
+    of the variance that is given, of outliers, or what is large on the film."""
+    if given is not None:
+        return TIMES * float(np.sqrt(2 * given * len(matches.counts) / matches.weight))
+    if reach is not None:
+        return reach
+    seen_at = matches.in_heights(matches.counts)[1]
+    spread = float(np.sqrt(np.sum(np.var(seen_at, axis=0))))
+    diagonal = float(np.hypot(matches.aspect, 1))
+    return max(LEAST_PX, float(matches.H) * min(SPREAD * spread, DIAGONAL * diagonal))
 
 
 @eqx.filter_jit

@@ -13,8 +13,8 @@ from .._rules import RULES
 from .._solver.least_squares import Descent
 from .._solver.problem import FINE_PX
 from .._solver.uncertainty import BLIND
-from .noise import Noise, exact_squares
-from .reprojection import Matches, PointProblem
+from .noise import Noise
+from .reprojection import Matches, PointProblem, exact_squares
 from .resection import lines_of_sight, plane_of, resect, shift, triangles, turn
 
 #: Draws of three points. Where 40 % are outliers 14 of them have none.
