@@ -71,31 +71,28 @@ def descend(
 
 @dataclass(frozen=True, eq=False)
 class _ManyViews:
-    """The problem of masks and that of colours, where the unknowns are, and the way there."""
+    """The problem of masks and that of colours, and the path to where the unknowns are."""
 
     of_masks: JointProblem
     own: JointProblem
-    state: State
-    way: list[LevelEnd]
+    path: Path
 
     def outline(self, k: int) -> Outline:
-        return Outline.from_view(self.own.eyes[k].look(self.state))
+        return Outline.from_view(self.own.eyes[k].look(self.path.descent.state))
 
     def descended(
         self, images: Images, depths: Sequence[int], px: float, steps: int
     ) -> "_ManyViews":
-        eyes, state, way = {}, self.state, self.way
+        eyes = {}
         for k, image in images.items():
             eye = self.of_masks.eyes[k]
             colours = replace(eye, solver=eye.solver.like(COLOURS))
             eyes[k] = colours.weighed(*image, only_finest=max(depths) == 1)
         weights = _counts(self.of_masks, images) * self.of_masks.weights
         own = replace(self.of_masks.seeing(eyes), weights=weights)
-        for depth in depths:
-            least = px if depth == 1 else COARSE_PX
-            there = replace(own, depth=depth).descend(state, steps, least)
-            state, way = there.state, [*way, LevelEnd(there.state, depth, there.steps)]
-        return replace(self, own=own, state=state, way=way)
+        brief, silent = replace(own, max_steps=steps), lambda words: None
+        further = descend(brief, self.path.descent.state, silent, depths, px)
+        return replace(self, own=own, path=self.path.then(further))
 
 
 def _counts(problem: JointProblem, photos: Container[int]) -> np.ndarray:
@@ -104,22 +101,24 @@ def _counts(problem: JointProblem, photos: Container[int]) -> np.ndarray:
 
 
 def agreement_on_photos(
-    before: Agreement, px: float, tell: Tell
-) -> tuple[Agreement, list[LevelEnd], tuple[str, ...]]:
-    """The agreement of photos, with the way to it and a note on each photo; that of masks, where
+    before: Agreement, path: Path, px: float, tell: Tell
+) -> tuple[Agreement, Path, tuple[str, ...]]:
+    """The agreement of photos, with the path to it and a note on each photo; that of masks, where
     no photo is better founded than its mask. Steps of `px` are negligible."""
     problem, eyes = before.problem, before.problem.eyes
     photos = {k: np.asarray(e.shot.photo) for k, e in enumerate(eyes) if e.shot.photo is not None}
-    views = _ManyViews(problem, problem, before.descent.state, [])
+    views = _ManyViews(problem, problem, path._replace(descent=before.descent))
     masks = {k: eyes[k].mask for k in photos}
     views, trusted, notes = refine_on_photos(views, masks, photos, px, tell)
-    found, way = before, views.way
+    found, path = before, views.path
     if trusted:
         counts = _counts(problem, trusted)
         own = replace(views.own, weights=counts)
-        found = agree(own, own.descend(views.state, own.max_steps, px), px, counts)
-        way = [*way, LevelEnd(found.descent.state, 1, found.descent.steps)]
-    return found, way, tuple(f"view {k}: {notes[k]}" for k in sorted(notes))
+        end = own.descend(path.descent.state, own.max_steps, px)
+        found = agree(own, end, px, counts)
+        last = LevelEnd(found.descent.state, 1, found.descent.steps)
+        path = path._replace(way=(*path.way, last))
+    return found, path, tuple(f"view {k}: {notes[k]}" for k in sorted(notes))
 
 
 class Outcome(NamedTuple):
@@ -165,10 +164,9 @@ def finish(problem: JointProblem, path: Path, tell: Tell, photos: bool = False) 
     if not photos:
         return Outcome(problem, path, by_masks, whole, astray, ())
 
-    found, way, notes = agreement_on_photos(by_masks, px, tell)
+    found, path, notes = agreement_on_photos(by_masks, path, px, tell)
     if found is not by_masks:
         whole = [eye.look(found.descent.state).sums for eye in eyes]
-    path = path._replace(way=(*path.way, *way))
     kept = zip(found.problem.eyes, near.eyes, eyes, strict=True)
     decided = [mask if eye is looked else eye for eye, looked, mask in kept]
     return Outcome(replace(problem, eyes=decided), path, found, whole, astray, notes)

@@ -308,9 +308,10 @@ class JointProblem:
 
     def look(self, state: State) -> list[ViewRows]:
         """All views at a state."""
-        sights = [(*e.standpoint(state), e.level(self.depth)) for e in self.eyes]
-        look = lambda sight: sight[0].look(*sight[1:])
-        views = in_threads(look, sights, lambda sight: sight[0].program(*sight[1:]))
+        sights = [(e.standpoint(state), e.level(self.depth)) for e in self.eyes]
+        look = lambda sight: sight[0].solver.look(sight[0].camera, sight[1])
+        program = lambda sight: sight[0].solver.program(sight[0].camera, sight[1])
+        views = in_threads(look, sights, program)
         return [self.rows_of(k, state, view) for k, view in enumerate(views)]
 
     def rows_of(self, k: int, state: State, view: View) -> ViewRows:
