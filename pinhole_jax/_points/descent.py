@@ -81,19 +81,19 @@ def _descend_together(
     problem: PointProblem, state: State, variance: float | None, tell: Tell
 ) -> tuple[PointProblem, Descent]:
     """The problem, and where the squares of all are least."""
-    px, spare, end = FINE_PX[problem.dtype], problem.left_over, problem.stay(state)
+    px, steps, spare = FINE_PX[problem.dtype], 0, problem.left_over
     both = spare + sum(len(prior.labels) for prior in problem.priors)
     known = None if variance is None else Noise(variance, np.inf)
     if known is None and spare <= 0 < both:
-        # Priors alone leave something over: where they hold what is free, it is no less than points
-        # err by.
+        # Where priors hold what is free, points leave no less than they err by.
         widest = max(float(np.max(prior.std)) / prior.part.H for prior in problem.priors)
         firm = Noise((HOLDS * float(problem.matches[0].H) * widest) ** 2, np.inf)
-        end = replace(problem, known=firm).descend(state, problem.max_steps, px)
-        known = Noise(squares_of(end.seen) / both, both)
+        held = replace(problem, known=firm).descend(state, problem.max_steps, px)
+        known = Noise(squares_of(held.seen) / both, both)
+        state, steps = held.state, held.steps
     problem = replace(problem, known=known)
-    further = problem.descend(end.state, problem.max_steps, px)
-    end = further._replace(steps=end.steps + further.steps)
+    further = problem.descend(state, problem.max_steps, px)
+    end = further._replace(steps=steps + further.steps)
     weight = sum(matches.weight for matches in problem.matches)
     rms = (squares_of(end.seen) / weight) ** 0.5
     tell(f"{len(problem.eyes)} views: {end.steps} steps, {rms:.3g} px")

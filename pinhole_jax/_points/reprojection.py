@@ -239,7 +239,7 @@ class PointProblem(JointProblem):
 
     def noise(self, seen: list[ViewRows]) -> float:
         """What rows of priors err by: as points do (px)."""
-        error = self.shown(seen).variance ** 0.5
+        error = self.shown(seen).variance ** 0.5 if self.priors else 1.0
         return error if np.isfinite(error) else 1.0
 
     def rows_of(self, k: int, state: State, view: View) -> ViewRows:
