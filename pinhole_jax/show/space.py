@@ -73,20 +73,18 @@ def scene_view(camera: Camera, scene: Scene, size: int = 800) -> np.ndarray:
     eye, points = np.asarray(camera.e, float), points_of(scene)
     away = points.mean(axis=0) - eye
     depth = max(float(away @ axes_of(camera)[2]), 1e-6 * float(np.linalg.norm(away)), 1e-30)
-    border, tick = _film(camera, depth)
-    film = border[::SIDE]
+    border, *_ = wires = _wires(camera, depth)
     wide, high = 2 * size, 2 * (3 * size // 4)  # drawn at twice the size and averaged down
-    spread = np.array([*border, eye, tick, *points])
-    sheet = Sheet.from_aside(camera, spread, (wide, high), 0.06 * high)
+    sheet = Sheet.from_aside(camera, np.concatenate([*wires, points]), (wide, high), 0.06 * high)
 
     canvas = Image.new("RGB", (wide, high), GROUND)
     draw = ImageDraw.Draw(canvas, "RGBA")
-    flat = lambda points: sheet.place(np.array(points)).ravel().tolist()
+    flat = lambda points: sheet.place(points).ravel().tolist()
     draw.polygon(flat(border), FILM)
     lit = Image.fromarray(_lit(scene, sheet, size, high // 2)).resize(canvas.size)
     canvas.paste(lit, mask=lit)
-    for path in (*([eye, corner] for corner in film), [*border, film[0]], [film[3], tick, film[2]]):
-        draw.line(flat(path), (*LINE, 230), 4)
+    for wire in wires:
+        draw.line(flat(wire), (*LINE, 230), 4)
     draw.ellipse([*(sheet.place(eye) - 9), *(sheet.place(eye) + 9)], LINE)
     return np.asarray(canvas.resize((size, high // 2), Image.Resampling.BOX))
 
@@ -107,28 +105,25 @@ def _lit(scene: Scene, sheet: Sheet, width: int, height: int) -> np.ndarray:
 def frustum(camera: Camera, way: Iterable[Camera] = (), others: Sequence[Camera] = ()) -> Svg:
     """Return a parallel view of a camera as SVG, empty if its numbers are not finite.
 
-    It shows the pyramid up to the view point, a tick upwards, and the world's axes at the view
-    point. The eyes of `way`, earlier cameras of a fit, are a dotted line; those of `others` rings.
+    It shows the frustum up to the view point, as `scene_view` does, and the world's axes there. The
+    eyes of `way`, earlier cameras of a fit, are a dotted line; those of `others` rings.
     """
     eye, middle = np.asarray(camera.e, float), np.asarray(camera.p, float)
-    border, tick = _film(camera, float(np.linalg.norm(middle - eye)))
-    film = border[::SIDE]
-    world = middle + np.linalg.norm(tick - middle) / 2 * np.eye(3)
+    border, tick, *_ = wires = _wires(camera, float(np.linalg.norm(middle - eye)))
+    world = middle + np.linalg.norm(tick[1] - middle) / 2 * np.eye(3)
     eyes = lambda cameras: [np.asarray(c.e, float) for c in cameras]
     steps, rings = [*eyes(way), eye], eyes(others)
-    spread = np.array([*film, *world, *steps, *rings, middle, tick])
+    spread = np.concatenate([*wires, world, [*steps, *rings, middle]])
     if not np.all(np.isfinite(spread)):
         return Svg()
     place = Sheet.from_aside(camera, spread, (W, H), ROOM).place
     at = lambda points: " ".join(f"{x:.1f},{y:.1f}" for x, y in place(np.array(points)))
-    line = lambda points, style: f'<polyline points="{at(points)}" fill="none" {style}/>'
+    line = lambda points, style: f'<polyline points="{at(points)}" {style}/>'
     dot = lambda point, style: "<circle cx='{:.1f}' cy='{:.1f}' r='3.5' {}/>".format(
         *place(point), style
     )
-    edge = f'stroke="{TEAL}" stroke-width="1.6"'
-    parts = [f'<polygon points="{at(film)}" fill="{TEAL}" fill-opacity="0.13" {edge}/>']
-    parts += [line([eye, corner], edge) for corner in film]
-    parts.append(line([film[3], tick, film[2]], edge))
+    parts = [line(border, f'fill="{TEAL}" fill-opacity="0.13"')]
+    parts += [line(wire, f'stroke="{TEAL}" stroke-width="1.6"') for wire in wires]
     for (name, colour), end in zip(WORLD, world, strict=True):
         x, y = place(end)
         parts.append(line([middle, end], f'stroke="{colour}" stroke-width="2"'))
@@ -136,10 +131,10 @@ def frustum(camera: Camera, way: Iterable[Camera] = (), others: Sequence[Camera]
     grey = f'stroke="{GREY}" stroke-width="1.5"'
     if len(steps) > 1:
         parts.append(line(steps, f'{grey} stroke-dasharray="2 3"'))
-    parts += [dot(ring, f'fill="none" {grey}') for ring in rings]
+    parts += [dot(ring, grey) for ring in rings]
     parts.append(dot(eye, f'fill="{TEAL}"'))
     size = f'width="{W}" height="{H}" viewBox="0 0 {W} {H}"'
-    words = 'role="img" aria-label="the camera in the world" font-family="sans-serif"'
+    words = 'role="img" aria-label="the camera in the world" font-family="sans-serif" fill="none"'
     return Svg(f'<svg xmlns="http://www.w3.org/2000/svg" {size} {words}>{"".join(parts)}</svg>')
 
 
@@ -148,18 +143,24 @@ def axes_of(camera: Camera) -> Float[np.ndarray, "3 3"]:
     return np.stack([np.asarray(axis, float) for axis in camera_basis(camera)])
 
 
-def _film(camera: Camera, depth: float) -> tuple[Points, Float[np.ndarray, "3"]]:
-    """Return the points at a depth that show on the film's border, counter-clockwise from its lower
-    left corner, `SIDE` for each side; and the tip of a tick above them."""
-    corners, size = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)]), (camera.W, camera.H)
-    along = np.arange(4 * SIDE) / SIDE
-    places = np.stack([np.interp(along, range(5), side) for side in corners.T], axis=1) * size
+def _wires(camera: Camera, depth: float) -> list[Points]:
+    """Return the lines of a frustum up to a depth: around the film, counter-clockwise from its
+    lower left corner, up to a tick above it, and from the eye to each corner."""
+    corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)]) * [camera.W, camera.H]
+    along = np.arange(4 * SIDE + 1) / SIDE
+    places = np.stack([np.interp(along, range(5), side) for side in corners.T], axis=1)
+    border = points_at(camera, places, depth)
+    _, lower, upper, left = film = border[:-1:SIDE]
+    tip = (upper + left) / 2 + 0.15 * np.linalg.norm(upper - lower) * axes_of(camera)[1]
+    eye = np.asarray(camera.e, float)
+    return [border, np.stack([left, tip, upper]), *(np.stack([eye, corner]) for corner in film)]
+
+
+def points_at(camera: Camera, places: Float[np.ndarray, "n 2"], depth: float) -> Points:
+    """Return the points at a depth that show at places of the film, those far aside nearer by."""
     rays = np.asarray(rays_through(camera, places.astype(camera.e.dtype)).direction, float)
-    axes = axes_of(camera)
-    reach = depth / np.maximum(rays @ axes[2], LEAST_COSINE)
-    border = np.asarray(camera.e, float) + reach[:, None] * rays
-    _, lower, upper, left = border[::SIDE]
-    return border, (upper + left) / 2 + 0.15 * np.linalg.norm(upper - lower) * axes[1]
+    reach = depth / np.maximum(rays @ axes_of(camera)[2], LEAST_COSINE)
+    return np.asarray(camera.e, float) + reach[:, None] * rays
 
 
 def points_of(scene: Scene) -> Points:

@@ -6,10 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from .. import Camera, Fit, Scene, outline, project, rays_through
+from .. import Camera, Fit, Scene, outline, project
 from .outline import check_fit, outline_sigma, sigma_moves
 from .page import Svg
-from .space import LEAST_COSINE, axes_of, points_of
+from .space import axes_of, points_at, points_of
 
 #: The film is divided into about this many fields across, and drawn this wide.
 FIELDS, WIDTH = 48, 560.0
@@ -69,17 +69,15 @@ def trust(fit: Fit, scene: Scene) -> Trust:
     ```
     """
     check_fit(fit)
-    camera, axes = fit.camera, axes_of(fit.camera)
-    eye, points = np.asarray(camera.e, float), points_of(scene)
-    depth = float(np.mean((points - eye) @ axes[2]))
+    camera, points = fit.camera, points_of(scene)
+    before = lambda c: (points - np.asarray(c.e, float)) @ axes_of(c).T
+    depth = float(np.mean(before(camera)[:, 2]))
     side = camera.W / FIELDS
     columns, rows = FIELDS, max(round(camera.H / side), 1)
     row, column = np.indices((rows, columns)).reshape(2, -1)
     places = np.stack([column + 0.5, row + 0.5], axis=1) * [camera.W / columns, camera.H / rows]
-    rays = np.asarray(rays_through(camera, places).direction, float)
-    on_plane = eye + depth * rays / np.maximum(rays @ axes[2], LEAST_COSINE)[:, None]
+    on_plane = points_at(camera, places, depth)
     on_film = lambda c: np.asarray(project(c, on_plane), float)
-    before = lambda c: (points - np.asarray(c.e, float)) @ axes_of(c).T
     film, spread = (_worst(fit, value, depth) for value in (on_film, before))
     farthest = int(np.nanargmax(spread))
     across = outline_sigma(fit, scene)
