@@ -65,18 +65,14 @@ def band_of(fit: Fit, scene: Scene) -> dict[str, Any]:
 def grid_lines(camera: Camera) -> list[list[list[float]]]:
     """Return a grid of lines straight in space, as the lens shows them: rows of points."""
     size = np.array([camera.W, camera.H])
-    spacing, reach = min(size) / GRID, REACH * size
-    lines = []
-    for axis in (0, 1):
-        count = int(reach[axis] / spacing)
-        steps = spacing * np.arange(-count, count + 1)[:, None]
-        along = np.linspace(-1, 1, POINTS) * reach[1 - axis]
-        pair = np.broadcast_arrays(steps, along)
-        lines.append(np.stack(pair[:: 1 - 2 * axis], axis=-1))
-    bent = _shown(camera, np.concatenate(lines) / focal_px(camera))
+    x, y = REACH * size
+    spacing = min(size) / GRID
+    steps = lambda reach: spacing * np.arange(-(reach // spacing), reach // spacing + 1)
+    lines = [((a, -y), (a, y)) for a in steps(x)] + [((-x, b), (x, b)) for b in steps(y)]
+    bent = _bent(camera, np.array(lines) / focal_px(camera))
     near = np.all(np.abs(bent - size / 2) < 0.6 * size, axis=-1)
     parts = []
-    for line, inside in zip(bent.round(2), near, strict=True):
+    for line, inside in zip(bent, near, strict=True):
         runs = np.split(line, np.flatnonzero(np.diff(inside)) + 1)
         parts += [run.tolist() for run in runs[int(not inside[0]) :: 2]]
     return parts
@@ -89,16 +85,16 @@ def straight_lines(camera: Camera, lines: Sequence[Line]) -> list[list[list[floa
         return []
     ends = _flip(np.array(lines, float), camera).astype(camera.e.dtype)
     rays = np.asarray(rays_through(camera, ends).direction, float) @ axes_of(camera).T
-    begin, end = np.moveaxis(rays[..., :2] / rays[..., 2:], 1, 0)[:, :, None]
-    share = np.linspace(0, 1, POINTS)[:, None]
-    return _shown(camera, begin * (1 - share) + end * share).round(2).tolist()
+    return _bent(camera, rays[..., :2] / rays[..., 2:]).tolist()
 
 
-def _shown(camera: Camera, slopes: np.ndarray) -> np.ndarray:
-    """Return the places of directions: `slopes` (..., 2) to the right and up, for one ahead."""
-    axes = axes_of(camera)
+def _bent(camera: Camera, ends: np.ndarray) -> np.ndarray:
+    """Return the places (n, `POINTS`, 2) of lines straight in space. The directions of their ends
+    (n, 2, 2) are slopes to the right and up, for one ahead."""
+    axes, slopes = axes_of(camera), np.linspace(ends[:, 0], ends[:, 1], POINTS, axis=1)
     points = np.asarray(camera.e, float) + slopes @ axes[:2] + axes[2]
-    return _flip(np.asarray(project(camera, points.astype(camera.e.dtype)), float), camera)
+    shown = np.asarray(project(camera, points.astype(camera.e.dtype)), float)
+    return _flip(shown, camera).round(2)
 
 
 def _flip(points: np.ndarray, camera: Camera) -> np.ndarray:
