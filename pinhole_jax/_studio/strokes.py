@@ -4,7 +4,6 @@ Places are in px from the picture's upper left corner, x right, y down.
 """
 
 import base64
-import itertools
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache
@@ -63,8 +62,7 @@ def draw_strokes(
         value, radius = values[stroke.kind], max(stroke.radius_px, 0.5)
         # Pillow's places are those of pixels' centres.
         points = [(x - 0.5, y - 0.5) for x, y in stroke.points]
-        for before, after in itertools.pairwise(points):
-            draw.line([before, after], value, max(round(2 * radius), 1))
+        draw.line(points, value, max(round(2 * radius), 1))
         for x, y in points:
             draw.ellipse([x - radius, y - radius, x + radius, y + radius], value)
     return np.asarray(image)
