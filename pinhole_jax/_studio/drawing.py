@@ -9,6 +9,7 @@ import numpy as np
 
 from .. import Camera, Fit, Scene, outline, project, rays_through
 from ..plot import outline_sigma
+from ..show.outline import from_top
 from ..show.space import axes_of
 from .hand import focal_px, principal_point
 
@@ -42,7 +43,7 @@ def camera_numbers(camera: Camera) -> dict[str, Any]:
 
 def outline_lines(camera: Camera, scene: Scene) -> list[list[float]]:
     """Return the outline as lines [x, y, x, y], to a hundredth of a px."""
-    lines = _flip(outline(camera, scene), camera)
+    lines = from_top(camera, outline(camera, scene))
     near = np.all(np.abs(lines) < FAR * max(camera.W, camera.H), axis=(1, 2))
     return lines[near].round(2).reshape(-1, 4).tolist()
 
@@ -52,7 +53,7 @@ def band_of(fit: Fit, scene: Scene) -> dict[str, Any]:
 
     A half width is the motion of its line at one standard error.
     """
-    lines = _flip(outline(fit.camera, scene), fit.camera)
+    lines = from_top(fit.camera, outline(fit.camera, scene))
     sigma = outline_sigma(fit, scene)
     shown = sigma[np.isfinite(sigma) & (sigma > 0)]
     return {
@@ -83,7 +84,7 @@ def straight_lines(camera: Camera, lines: Sequence[Line]) -> list[list[list[floa
     shows them."""
     if not lines:
         return []
-    ends = _flip(np.array(lines, float), camera).astype(camera.e.dtype)
+    ends = from_top(camera, np.array(lines, float)).astype(camera.e.dtype)
     rays = np.asarray(rays_through(camera, ends).direction, float) @ axes_of(camera).T
     return _bent(camera, rays[..., :2] / rays[..., 2:]).tolist()
 
@@ -94,9 +95,4 @@ def _bent(camera: Camera, ends: np.ndarray) -> np.ndarray:
     axes, slopes = axes_of(camera), np.linspace(ends[:, 0], ends[:, 1], POINTS, axis=1)
     points = np.asarray(camera.e, float) + slopes @ axes[:2] + axes[2]
     shown = np.asarray(project(camera, points.astype(camera.e.dtype)), float)
-    return _flip(shown, camera).round(2)
-
-
-def _flip(points: np.ndarray, camera: Camera) -> np.ndarray:
-    """Return film coordinates as places from the picture's upper left corner, or back."""
-    return points * [1, -1] + [0, camera.H]
+    return from_top(camera, shown).round(2)

@@ -10,6 +10,7 @@ import numpy as np
 from .. import Scene, io
 from .._files.naming import named
 from ..batch.inputs import read_scene
+from ..show.space import points_of
 from .hand import Extent, extent_of
 
 #: A photo is shown with at most this many pixels on a side.
@@ -45,8 +46,7 @@ def workpiece_of(
     with named(path="photo"):
         picture = io.load_image(photo, rgb=True)
     scene = read_scene(mesh, say)
-    assert scene.mesh is not None
-    extent = extent_of(np.asarray(scene.mesh.vertices, float))
+    extent = extent_of(points_of(scene))
     return Workpiece(whole_path(mesh), whole_path(photo), scene, picture, extent)
 
 

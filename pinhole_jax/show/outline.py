@@ -112,7 +112,7 @@ def overlay(
     W, H = right - left, bottom - top
     factor = -(-SHOWN_PX // max(W, H))
     fine = 2 * factor  # lines are drawn at twice the size and averaged down: no jagged edges
-    shown = lambda film: (film * [1, -1] + [-left, camera.H - top]) * fine
+    shown = lambda film: (from_top(camera, film) - [left, top]) * fine
     canvas = Image.fromarray(np.ascontiguousarray(image[top:bottom, left:right])).convert("RGB")
     canvas = canvas.resize((W * fine, H * fine), Image.Resampling.NEAREST)
     corners = shown(outline(camera, scene))
@@ -171,7 +171,7 @@ def object_window(camera: Camera, scene: Scene) -> Window:
     ```
     """
     size = np.array([camera.W, camera.H])
-    ends = (outline(camera, scene) * [1, -1] + [0, camera.H]).reshape(-1, 2)
+    ends = from_top(camera, outline(camera, scene)).reshape(-1, 2)
     ends = ends[np.all((ends >= 0) & (ends <= size), axis=1)]
     if not len(ends):
         return 0, 0, camera.W, camera.H
@@ -205,7 +205,7 @@ def disagreement(camera: Camera, scene: Scene, target: np.ndarray) -> tuple[str,
     if np.any(is_in):
         middle, length = middle[is_in], length[is_in]
         edge = np.not_equal(binary_dilation(mask), binary_erosion(mask, border_value=1))
-        pixels = (np.argwhere(edge)[:, ::-1] + 0.5) * [1, -1] + [0, camera.H]
+        pixels = from_top(camera, np.argwhere(edge)[:, ::-1] + 0.5)
         is_far = lambda points, others: KDTree(others).query(points)[0] > APART_PX
         lost, extra = is_far(middle, pixels), is_far(pixels, middle)
         cases.append((MISSING, share(length, lost), middle[lost]))
@@ -220,6 +220,11 @@ def _place(camera: Camera, points: np.ndarray) -> str:
     off = np.linalg.norm(points - np.median(points, axis=0), axis=1)
     x, y = points[np.argmin(off)]
     return f"column {int(x)}, row {int(camera.H - y)}"
+
+
+def from_top(camera: Camera, places: np.ndarray) -> np.ndarray:
+    """Return film coordinates (..., 2) as places from the picture's upper left corner, or back."""
+    return places * [1, -1] + [0, camera.H]
 
 
 def coverage_of(target: np.ndarray, camera: Camera) -> np.ndarray:

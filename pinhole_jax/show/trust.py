@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .. import Camera, Fit, Scene, outline, project
-from .outline import check_fit, outline_sigma, sigma_moves
+from .outline import check_fit, from_top, outline_sigma, sigma_moves
 from .page import Svg
 from .space import axes_of, points_at, points_of
 
@@ -114,7 +114,7 @@ def _picture(camera: Camera, sigma: np.ndarray, lines: np.ndarray) -> Svg:
         f' height="{high + 0.5:.1f}" fill="{COLOURS[band[i, j]]}"/>'
         for i, j in np.argwhere(np.isfinite(sigma))
     ]
-    shown = lines * [scale, -scale] + [0, height]
+    shown = scale * from_top(camera, lines)
     ways = " ".join(f"M{a:.1f} {b:.1f}L{c:.1f} {d:.1f}" for (a, b), (c, d) in shown.tolist())
     fields = len(parts)
     for colour, width in (("#fff", 3), ("#000", 1.2)):
