@@ -590,8 +590,8 @@ def test_fit_is_printed_where_it_cannot_be_written(here, fitted, monkeypatch, ca
     main(words)
     assert "(replaced" not in capsys.readouterr().out
     main(words)
-    files = "full/camera.json, full/overlay.png"
-    assert f"{files} (replaced {files})" in capsys.readouterr().out
+    files = "full/camera.json (replaced), full/overlay.png (replaced)"
+    assert f"written    {files}\n" in capsys.readouterr().out
 
     def full(*_, **__):
         raise OSError("No space left on device")

@@ -9,6 +9,7 @@ from typing import Any
 from .. import formats
 from .._files.interrupt import interrupts_raise
 from .._files.naming import named
+from .._files.paths import written_path
 from .._files.progress import Ticker
 from ..batch import (
     NO_FIT,
@@ -21,7 +22,7 @@ from ..batch import (
 )
 from ..batch.inputs import check_fov
 from .options import record_of
-from .outputs import check_outputs, replacement_words
+from .outputs import check_outputs
 
 
 def run(options: argparse.Namespace, progress: Ticker) -> int:
@@ -44,10 +45,8 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
     failure = next((row for row in results if row["status"] in NO_FIT), None)
     if failure is not None:
         print(f"failure    {failure['id']}: {failure['words']}")
-    paths = [options.merge, options.write and options.write[1]]
-    there = replacement_words([path for path in paths if path is not None])
     if written := list(_write_outputs(options, results)):
-        print(f"written    {', '.join(written)}{there}")
+        print(f"written    {', '.join(written)}")
     return int(failure is not None)
 
 
@@ -94,14 +93,15 @@ def _shard(text: str) -> tuple[int, int]:
 
 
 def _write_outputs(options: argparse.Namespace, results: Results) -> Iterator[str]:
-    """Write the table and the camera asked for; yield their paths."""
+    """Write the table and the camera asked for; yield their paths, and whether they replaced."""
     if options.merge is not None:
+        words = written_path(options.merge)
         with named(path="merge"):
-            count = merge(results, options.merge)
-        left_out = len(results) - count
-        yield options.merge + (f" (without {left_out} rows that have no camera)" * (left_out > 0))
+            left_out = len(results) - merge(results, options.merge)
+        yield words + f" (without {left_out} rows that have no camera)" * (left_out > 0)
     if options.write is not None:
         id, path = options.write
+        words = written_path(path)
         with named(**dict.fromkeys(("id", "row", "path", "cameras"), "write")):
             formats.write(path, {id: fit_of(results.row(id)).camera})
-        yield path
+        yield words

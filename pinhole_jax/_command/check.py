@@ -63,7 +63,7 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
     for weak in fit.weak:
         print(f"weak       {weak}")
     if options.output is not None:
-        words = written_words([options.output])
+        words = written_words(options.output)
         with named(path="output"):
             io.save_fit(options.output, fit)
         print(words)

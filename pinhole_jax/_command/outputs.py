@@ -2,7 +2,7 @@
 
 import argparse
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ import numpy as np
 
 from .. import Fit, io
 from .._files.naming import named
-from .._files.paths import check_writable, is_stream
+from .._files.paths import check_writable, is_stream, written_path
 from .._files.progress import Ticker
 
 
@@ -23,15 +23,9 @@ def check_outputs(**options: Any) -> None:
                 check_writable(path)
 
 
-def replacement_words(paths: Sequence[str | Path]) -> str:
-    """Return the end of a line about files to write: those that are replaced, if any."""
-    there = [str(path) for path in paths if not is_stream(path) and Path(path).is_file()]
-    return f" (replaced {', '.join(there)})" if there else ""
-
-
-def written_words(paths: Sequence[str | Path]) -> str:
+def written_words(*paths: str | Path) -> str:
     """Return the line about files to write, and which of them are replaced."""
-    return f"written    {', '.join(map(str, paths))}{replacement_words(paths)}"
+    return f"written    {', '.join(map(written_path, paths))}"
 
 
 def write_results(
@@ -44,7 +38,7 @@ def write_results(
     the camera is finite; say so."""
     folder, report = Path(options.output), options.report if fit.status != "non_finite" else None
     written = [folder / name for name in ("camera.json", *drawings)]
-    words = written_words(written if report is None else [*written, report])
+    words = written_words(*written, *[report] * (report is not None))
     with named(path="output"):
         io.save_fit(written[0], fit, pixel_centres=options.pixel_centres)
         for path, drawing in zip(written[1:], drawings.values(), strict=True):
@@ -58,6 +52,6 @@ def write_results(
 @contextmanager
 def say_written(path: str, words: str) -> Iterator[None]:
     """Print that a file was written: on stderr if it went to stdout or a pipe."""
-    there = ", replaced" * bool(replacement_words([path]))
+    line = written_words(path)
     yield
-    print(f"written    {path} ({words}{there})", file=sys.stderr if is_stream(path) else sys.stdout)
+    print(f"{line} ({words})", file=sys.stderr if is_stream(path) else sys.stdout)

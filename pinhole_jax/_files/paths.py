@@ -145,6 +145,11 @@ def is_stream(path: Any) -> bool:
     return _stream_number(as_path(path)) is not None or _kind(as_path(path)) == "a pipe"
 
 
+def written_path(path: FilePath) -> str:
+    """Return a path to write as text, and whether that replaces a file, or files of a folder."""
+    return f"{path}{' (replaced)' * (not is_stream(path) and as_path(path).exists())}"
+
+
 def replace_file(path: Any, data: bytes | Iterable[bytes], *, lasting: bool = False) -> None:
     """Write a file, whole or not at all: a temporary file beside it is renamed.
 

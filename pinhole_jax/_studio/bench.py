@@ -17,12 +17,13 @@ from typing import Any
 import numpy as np
 
 from .. import Fit, Progress, fit_camera, io, silhouette
+from .._files.paths import written_path
 from ..batch.inputs import Start, numbers_of
 from ..formats import FORMATS
 from . import hand
 from .descriptions import fit_description, mask_description, with_assumed_phi
 from .drawing import camera_numbers, grid_lines, outline_lines, straight_lines
-from .exports import export, path_words, plain
+from .exports import export, plain
 from .session import Session, free_of, line_of, session_from_text, session_to_text
 from .strokes import (
     GUIDES,
@@ -325,7 +326,7 @@ class Bench:
         """Write the session as one file."""
         self.session = self.session._replace(free=free_of(free))
         path = self.folder / f"{plain(name)}.studio.json"
-        written = path_words(path)
+        written = written_path(path)
         io.save_text(path, session_to_text(self.session))
         return {"written": [written]}
 

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from .. import Camera, io
+from .._files.paths import written_path
 from ..formats import FORMATS, write
 from ..show.page import ENDINGS
 
@@ -23,17 +24,12 @@ def export(
     chosen = list(FORMATS) if format == "all" else [format]
     paths = {folder / (name + ENDINGS[each]): each for each in chosen}
     image = folder / f"{name}_mask.png"
-    written = [path_words(path) for path in (*paths, *[image] * (mask is not None))]
+    written = [written_path(path) for path in (*paths, *[image] * (mask is not None))]
     for path, each in paths.items():
         write(path, {name: camera}, each)
     if mask is not None:
         io.save_image(image, mask)
     return written
-
-
-def path_words(path: Path) -> str:
-    """Return a path to write as text, and whether that replaces a file."""
-    return f"{path}{' (replaced)' * path.exists()}"
 
 
 def plain(name: str) -> str:
