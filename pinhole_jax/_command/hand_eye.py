@@ -32,7 +32,11 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
         raise ValueError("`holdout`: expected at least two postures, got one")
     if options.refine:
         views = [v._replace(photo=p) for v, p in zip(views, pictures, strict=True)]
-    proposed = None if options.propose is None else _proposed_views(robot, options)
+    proposed = None
+    if options.propose is not None:
+        if "pose" not in options.free.split(","):
+            raise ValueError(f"`propose`: expected `pose` in --free, got {options.free!r}")
+        proposed = _views(robot, options, options.propose, "propose")
     camera, search = _start(options, masks[0], progress.tell)
 
     progress.say(f"fitting {len(views)} views (the first time compiles, some seconds)")
@@ -71,15 +75,13 @@ def read_views(
     robot: Robot, options: argparse.Namespace, say: Callable[[str], Any]
 ) -> list[JointView]:
     """Return the views of a robot in the postures of a file (`joints`), with `masks`."""
-    with named(path="JOINTS"):
-        postures = joint_angles(options.joints, robot)
-    if len(postures) != len(options.masks):
+    views = _views(robot, options, options.joints, "JOINTS")
+    if len(views) != len(options.masks):
         raise ValueError(
-            f"`MASK`: expected one for each of {len(postures)} rows of {options.joints!r}, got"
+            f"`MASK`: expected one for each of {len(views)} rows of {options.joints!r}, got"
             f" {len(options.masks)}"
         )
-    masks = [read_mask(record_of(options, mask=x), say) for x in options.masks]
-    views = [_view(robot, angles, options, "JOINTS") for angles in postures]
+    masks = (read_mask(record_of(options, mask=x), say) for x in options.masks)
     return [view._replace(target=mask) for view, mask in zip(views, masks, strict=True)]
 
 
@@ -95,27 +97,19 @@ def joint_zeros(options: argparse.Namespace) -> float | None:
     return float(np.deg2rad(degrees))
 
 
-def _view(
-    robot: Robot, angles: dict[str, float], options: argparse.Namespace, file: str
-) -> JointView:
-    """Return the view, without a mask, of a robot in a posture of a file."""
-    link = options.in_hand
-    with named(angles=file):
-        poses = robot.poses(angles)
+def _views(robot: Robot, options: argparse.Namespace, path: str, option: str) -> list[JointView]:
+    """Return the views, without masks, of a robot in the postures of an option's file."""
+    with named(path=option, angles=option):
+        return [_view(robot, angles, options) for angles in joint_angles(path, robot)]
+
+
+def _view(robot: Robot, angles: dict[str, float], options: argparse.Namespace) -> JointView:
+    link, poses = options.in_hand, robot.poses(angles)
     if link is not None and link not in poses:
         raise ValueError(f"`in_hand`: expected a link among {', '.join(poses)}, got {link!r}")
-    posture = None if joint_zeros(options) is None else robot.posture(angles)
     mount = None if link is None else poses[link]
+    posture = None if joint_zeros(options) is None else robot.posture(angles)
     return JointView(robot.scene_at(poses), None, mount=mount, posture=posture)
-
-
-def _proposed_views(robot: Robot, options: argparse.Namespace) -> list[JointView]:
-    """Return the views of a robot in the postures of `--propose`."""
-    if "pose" not in options.free.split(","):
-        raise ValueError(f"`propose`: expected `pose` in --free, got {options.free!r}")
-    with named(path="propose"):
-        postures = joint_angles(options.propose, robot)
-    return [_view(robot, angles, options, "propose") for angles in postures]
 
 
 def _start(
