@@ -21,7 +21,7 @@ from .._files.paths import written_path
 from ..batch.inputs import Start, numbers_of
 from ..formats import FORMATS
 from . import hand
-from .descriptions import fit_description, mask_description, with_assumed_phi
+from .descriptions import fit_description, with_assumed_phi
 from .drawing import camera_numbers, grid_lines, outline_lines, straight_lines
 from .exports import export, plain
 from .session import Session, free_of, line_of, session_from_text, session_to_text
@@ -100,7 +100,7 @@ class Bench:
         self.chosen = 0
         self._phi_was_free, self._assumption = False, ""
         #: All states of the work that can be gone back to, and the place of the current one.
-        self._works = [session.work[:k] for k in range(len(session.work) + 1)][-MOST_UNDONE:]
+        self._works = [session.strokes[:k] for k in range(len(session.strokes) + 1)][-MOST_UNDONE:]
         self._at = len(self._works) - 1
         self._update_mask()
 
@@ -209,14 +209,14 @@ class Bench:
 
     def stroke(self, **data: Any) -> Answer:
         """Draw: see `strokes.stroke_of`."""
-        return self._push_work((*self.session.work, stroke_of(data)))
+        return self._push_work((*self.session.strokes, stroke_of(data)))
 
     def view_guides(self) -> Answer:
         """Guide the guess by the view: object well within the outline, background well outside."""
         inside = np.asarray(silhouette(self.session.camera, self.workpiece.scene)) > 0.5
         if not np.any(inside):
             raise ValueError("the object is not in the picture: turn or shift it there first")
-        return self._push_work((*self.session.work, *guides_around(inside)))
+        return self._push_work((*self.session.strokes, *guides_around(inside)))
 
     def undo(self) -> Answer:
         """Take back the last stroke or mask."""
@@ -234,7 +234,7 @@ class Bench:
 
     def clear(self) -> Answer:
         """Drop all strokes and masks."""
-        return self._push_work(()) if self.session.work else self._mask_description()
+        return self._push_work(()) if self.session.strokes else self._mask_description()
 
     def load_mask(self, data: str, name: str = "mask") -> Answer:
         """Take a mask from a picture's file (in base64)."""
@@ -253,7 +253,7 @@ class Bench:
         if mask.shape != (H, W):
             size = f"{mask.shape[1]} x {mask.shape[0]}"
             raise ValueError(f"`mask`: expected the photo's size {W} x {H}, got {size}")
-        return self._push_work((*self.session.work, LoadedMask(png_of(mask))))
+        return self._push_work((*self.session.strokes, LoadedMask(png_of(mask))))
 
     def fit(self, free: Sequence[str], search: bool = False, refine: bool = False) -> Answer:
         """Fit the camera to the mask, from the current view or (`search`) from all views; then,
@@ -342,14 +342,19 @@ class Bench:
 
     def _update_mask(self) -> Answer:
         work = self._works[self._at]
-        self.session = self.session._replace(work=work)
+        self.session = self.session._replace(strokes=work)
         self.mask = mask_of(work, self._guess(strokes_of(work, GUIDES)), *self.workpiece.size)
         return self._mask_description()
 
     def _mask_description(self) -> Answer:
-        last = len(self._works) - 1
-        described = mask_description(self.mask, self.session.work)
-        return {**described, "can_undo": self._at > 0, "can_redo": self._at < last}
+        mask = self.mask
+        return {
+            "png": None if mask is None else png_of(mask),
+            "share": 0.0 if mask is None else float(np.mean(mask > 127)),
+            "guides": [stroke._asdict() for stroke in strokes_of(self.session.strokes, GUIDES)],
+            "can_undo": self._at > 0,
+            "can_redo": self._at < len(self._works) - 1,
+        }
 
     def _fit_description(self) -> Answer | None:
         fit = self.result

@@ -1,4 +1,4 @@
-"""Descriptions of mask and fit for the page, as text and numbers that JSON holds."""
+"""Descriptions of a fit for the page, as text and numbers that JSON holds."""
 
 from typing import Any
 
@@ -9,16 +9,6 @@ from ..formats import object_pose
 from ..names import STATUSES
 from ..plot import disagreement
 from .drawing import band_of
-from .strokes import GUIDES, Work, png_of, strokes_of
-
-
-def mask_description(mask: np.ndarray | None, work: Work) -> dict[str, Any]:
-    """Return the mask as a picture, its share of the photo, and the strokes of its guess."""
-    return {
-        "png": None if mask is None else png_of(mask),
-        "share": 0.0 if mask is None else float(np.mean(mask > 127)),
-        "guides": [stroke._asdict() for stroke in strokes_of(work, GUIDES)],
-    }
 
 
 def with_assumed_phi(fit: Fit, phi_from: str) -> Fit:

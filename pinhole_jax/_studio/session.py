@@ -25,7 +25,7 @@ class Session(NamedTuple):
 
     - `mesh`, `photo`: their files. The photo has the camera's size.
     - `camera`: the current camera. `free`: the parameters that a fit may change.
-    - `work`: strokes and loaded masks, in order.
+    - `strokes`: strokes and loaded masks, in order.
     - `lines`: pairs of places (px from the upper left corner) along straight edges.
     - `known_phi`: the field of view (rad) that an option, a file or the photo gave, if any.
     """
@@ -34,7 +34,7 @@ class Session(NamedTuple):
     photo: str
     camera: Camera
     free: tuple[str, ...] = ("pose",)
-    work: Work = ()
+    strokes: Work = ()
     lines: tuple[Any, ...] = ()
     known_phi: float | None = None
 
@@ -57,16 +57,9 @@ def new_session(workpiece: Workpiece, known: Start, up: str = "y") -> Session:
 
 def session_to_text(session: Session) -> str:
     """Return a session as JSON."""
-    data = {
-        "schema": SCHEMA,
-        "mesh": session.mesh,
-        "photo": session.photo,
-        "camera": camera_to_dict(session.camera),
-        "free": list(session.free),
-        "known_phi": session.known_phi,
-        "strokes": [step._asdict() for step in session.work],
-        "lines": session.lines,
-    }
+    strokes = [step._asdict() for step in session.strokes]
+    camera = camera_to_dict(session.camera)
+    data = {"schema": SCHEMA, **session._asdict(), "camera": camera, "strokes": strokes}
     return json.dumps(data, indent=1, allow_nan=False) + "\n"
 
 
