@@ -19,7 +19,6 @@ from .outline import (
     disagreement,
     error_map,
     object_window,
-    outline_sigma,
     overlay,
 )
 from .page import ENDINGS, Html, as_html, document, facts, figure, items, status, table
@@ -96,7 +95,7 @@ def page(
     seen = "The object, and the camera's frustum up to the object; the tick points up."
     shown = trust(fit, scene)
     sections = {
-        "Outline": _outline(fit, scene, photo),
+        "Outline": _outline(fit, scene, photo, shown.outline),
         "Where the error shows": figure(shown.picture, f"{shown} {MAP}"),
         "Where mask and camera differ": differs,
         "Parameters": f"{parameters(fit, 'Fitted parameters with standard errors')}<p>Pitch, yaw"
@@ -111,8 +110,7 @@ def page(
     return document(title, status(fit) + facts(numbers), sections)
 
 
-def _outline(fit: Fit, scene: Scene, photo: np.ndarray) -> str:
-    sigma = outline_sigma(fit, scene)
+def _outline(fit: Fit, scene: Scene, photo: np.ndarray, sigma: np.ndarray) -> str:
     shown = sigma[sigma > 0]
     words = "The recovered outline. The mask determines no parameter, so there is no band."
     if shown.size:

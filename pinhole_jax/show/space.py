@@ -14,7 +14,7 @@ from .page import Svg
 ABOVE, BEHIND = 0.44, 0.35
 #: The number of rays through each side of the film. Rays farther from the axis than this cosine
 #: (78 degrees) are drawn no longer than it: at 90 degrees they would be endless.
-SIDE, LEAST_COSINE = 16, 0.2
+SIDE, LEAST_COSINE = 17, 0.2
 #: Width, height and margin of a frustum's picture (px).
 W, H, ROOM = 240, 170, 16.0
 #: The world's axes with their colours.
@@ -146,11 +146,10 @@ def axes_of(camera: Camera) -> Float[np.ndarray, "3 3"]:
 def _wires(camera: Camera, depth: float) -> list[Points]:
     """Return the lines of a frustum up to a depth: around the film, counter-clockwise from its
     lower left corner, up to a tick above it, and from the eye to each corner."""
-    corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)]) * [camera.W, camera.H]
-    along = np.arange(4 * SIDE + 1) / SIDE
-    places = np.stack([np.interp(along, range(5), side) for side in corners.T], axis=1)
-    border = points_at(camera, places, depth)
-    _, lower, upper, left = film = border[:-1:SIDE]
+    corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) * [camera.W, camera.H]
+    sides = np.linspace(corners, np.roll(corners, -1, axis=0), SIDE, axis=1)
+    border = points_at(camera, sides.reshape(-1, 2), depth)
+    _, lower, upper, left = film = border[::SIDE]
     tip = (upper + left) / 2 + 0.15 * np.linalg.norm(upper - lower) * axes_of(camera)[1]
     eye = np.asarray(camera.e, float)
     return [border, np.stack([left, tip, upper]), *(np.stack([eye, corner]) for corner in film)]
