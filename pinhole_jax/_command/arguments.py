@@ -71,10 +71,13 @@ record failed. Processes on several machines may share it, each with its own --s
 """
 
 
+def _names_in(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
 def _free(text: str) -> str:
     """Return the names of `--free`, with phi for its other name."""
-    names = (name.strip() for name in text.split(","))
-    return ",".join("phi" if name == "focal" else name for name in names if name)
+    return ",".join("phi" if name == "focal" else name for name in _names_in(text))
 
 
 def _join_values(arguments: Sequence[str]) -> list[str]:
@@ -266,7 +269,11 @@ OPTIONS: dict[str, tuple[str, str] | tuple[str, str, dict[str, Any]]] = {
     "--report": ("PAGE.html", "write a page with pictures, errors, all formats"),
     "hand-eye --report": ("PAGE.html", "write a page with all results"),
     "--in-hand": ("LINK", "the link that carries the camera"),
-    "--leave-out": ("LINKS", "links that the masks do not show, with commas"),
+    "--leave-out": (
+        "LINKS",
+        "links that the masks do not show, with commas",
+        {"type": _names_in, "default": []},
+    ),
     "--joint-zeros": (
         "SIGMA",
         "find the zeros of the turning joints, too, which are known to this many degrees",
@@ -284,7 +291,11 @@ OPTIONS: dict[str, tuple[str, str] | tuple[str, str, dict[str, Any]]] = {
     "--workers": ("K", "processes (default: one a core)", {"type": int}),
     "--shard": ("I/N", "fit the I-th of N parts of DATASET alone", {"default": "1/1"}),
     "--resume": ("", "fit the records that have no row in RESULTS yet"),
-    "--retry": ("STATUSES", "fit these anew, too: failed,timed_out,crashed"),
+    "--retry": (
+        "STATUSES",
+        "fit these anew, too: failed,timed_out,crashed",
+        {"type": _names_in, "default": []},
+    ),
     "--time-limit": (
         "SECONDS",
         "most time for one record, 0: no limit (default: %(default)g)",

@@ -52,8 +52,7 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
 
 def _fit(options: argparse.Namespace, results: Results, say: Callable[[str], Any]) -> None:
     """Fit the records that have no row yet."""
-    resume = options.resume or options.retry is not None
-    if not resume and len(results):
+    if not (options.resume or options.retry) and len(results):
         raise ValueError(
             f"`output`: expected a folder without rows, got {options.output!r}; continue that run"
             " with --resume"
@@ -77,12 +76,8 @@ def _fit(options: argparse.Namespace, results: Results, say: Callable[[str], Any
             shard=_shard(options.shard),
             time_limit=options.time_limit or None,
             cached=not options.no_cache,
-            retry=_statuses(options.retry),
+            retry=options.retry,
         )
-
-
-def _statuses(text: str | None) -> list[str]:
-    return [] if text is None else [name.strip() for name in text.split(",")]
 
 
 def _shard(text: str) -> tuple[int, int]:

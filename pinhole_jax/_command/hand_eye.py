@@ -66,9 +66,8 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
 
 def read_robot(options: argparse.Namespace) -> Robot:
     """Return the robot of a file (`robot`), without some links (`leave_out`)."""
-    links = (options.leave_out or "").split(",")
     with named(path="ROBOT"):
-        return load_urdf(options.robot, [name.strip() for name in links if name.strip()])
+        return load_urdf(options.robot, options.leave_out)
 
 
 def read_views(
