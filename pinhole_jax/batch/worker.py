@@ -5,6 +5,7 @@ Nothing here imports NumPy or JAX at the top: a worker's core is chosen before t
 
 import contextlib
 import ctypes
+import functools
 import math
 import os
 import secrets
@@ -27,8 +28,6 @@ PATIENCE, GRACE = 2.0, 30.0
 
 #: This process's token: no other has it.
 TOKEN = secrets.token_hex(16)
-
-_is_set_up = False
 
 
 class Setup(NamedTuple):
@@ -91,13 +90,11 @@ def run(record: Record, setup: Setup, last: Any = None) -> Row:
         return empty_row(record, "timed_out", f"took more than {setup.limit:g} s", seconds)
 
 
+@functools.cache
 def _set_up(setup: Setup) -> None:
     """Set up JAX as the command does, once, unless this is the user's own process."""
-    global _is_set_up
-    if _is_set_up or setup.parent == TOKEN:
-        return
-    pj.set_up(setup.cached)
-    _is_set_up = True
+    if setup.parent != TOKEN:
+        pj.set_up(setup.cached)
 
 
 @contextlib.contextmanager
