@@ -394,6 +394,15 @@ def test_table_of_records(records, rows, tmp_path, ending):
     assert (row["status"], row["R"]) == (rows[0]["status"], rows[0]["R"])
 
 
+def test_csv_rows_may_be_short_and_name_what_is_too_long(tmp_path):
+    (tmp_path / "data.csv").write_text("id,mesh,mask,fov\na,a.ply\nb,b.ply,b.png,30,more\n")
+    short, long = batch.read_dataset(tmp_path / "data.csv", fov=40)
+    assert short == {"id": "a", "mesh": str(tmp_path / "a.ply"), "fov": 40}
+    assert "got no mask" in batch.fit_one(short)["words"]
+    assert "`item`: expected fields among" in batch.fit_one(long)["words"]
+    assert batch.fit_one(long)["words"].endswith("got 'a cell too many'")
+
+
 def test_folder_of_masks_is_a_dataset(tmp_path):
     write_files(tmp_path, dict.fromkeys(("part.ply", "masks/b.png", "masks/a.png"), ""))
     first, _ = data = list(batch.read_dataset(tmp_path, fov=34.4))

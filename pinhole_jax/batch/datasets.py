@@ -11,7 +11,7 @@ from reprlib import repr as brief
 from typing import Any
 
 from .._files.paths import read_json
-from .records import FIELDS, PATHS, PICTURES, Record, files_of
+from .records import FIELDS, PATHS, PICTURES, Record, files_of, plain_record
 
 #: The endings of meshes and tables.
 MESHES = (".ply", ".obj", ".stl", ".glb", ".gltf", ".off")
@@ -93,9 +93,9 @@ def read_dataset(
 
 def _with_defaults(fields: dict[str, Any], record: Record) -> Record:
     """Return a record with defaults for its missing fields; a camera of its own stays whole."""
-    cameras = {"K", "fov", "camera"}
-    own = cameras | {"pixel_centres", "dist", "start"} if cameras & record.keys() else set()
-    return {**{name: value for name, value in fields.items() if name not in own}, **record}
+    cameras, known = {"K", "fov", "camera"}, plain_record(record)
+    own = cameras | {"pixel_centres", "dist", "start"} if cameras & known.keys() else set()
+    return {**{name: value for name, value in fields.items() if name not in own}, **known}
 
 
 def _models(place: Path, models: str | os.PathLike[str] | None) -> Path:
@@ -124,7 +124,7 @@ def _bop_records(
         else:
             labels = Fields(found.get(scene.name.zfill(6), {}), repr(str(detections)))
         for image in labels.data:
-            known = {"K": K} if (K := cameras.part(image).data.get("cam_K")) else {}
+            K = cameras.part(image).data.get("cam_K")
             for number, label in enumerate(labels.parts(image)):
                 object_ = label.integer("obj_id", 0)
                 mask = scene / "mask_visib" / f"{image:0>6}_{number:06d}.png"
@@ -132,8 +132,8 @@ def _bop_records(
                     "id": f"{scene.parent.name}/{scene.name}/{image}/{object_}/{number}",
                     "mesh": str(models / f"obj_{object_:06d}.ply"),
                     "mask": str(mask) if detections is None else label.data["segmentation"],
-                    **known,
-                    **({"start": _pose(label)} if start and detections is None else {}),
+                    "K": K,
+                    "start": _pose(label) if start and detections is None else None,
                 }
 
 
@@ -174,7 +174,7 @@ def _rows(path: Path, is_csv: bool) -> Iterator[dict[str, Any]]:
     with open(path, encoding="utf-8-sig", newline="") as stream:
         try:
             if is_csv:
-                yield from csv.DictReader(stream)
+                yield from csv.DictReader(stream, restkey="a cell too many", restval="")
                 return
             for text in stream:
                 line += 1
@@ -188,7 +188,7 @@ def _rows(path: Path, is_csv: bool) -> Iterator[dict[str, Any]]:
 def _cell_value(name: str, cell: str) -> Any:
     """Return the value of a CSV's cell: JSON where it is JSON and the field no text."""
     if name != "id" and (name not in PATHS or cell[0] in "{["):
-        with contextlib.suppress(TypeError, ValueError):
+        with contextlib.suppress(AttributeError, RecursionError, ValueError):
             return json.loads(cell.lower() if cell.lower() in ("true", "false") else cell)
     return cell
 
@@ -199,8 +199,8 @@ def _folder_records(place: Path) -> Iterator[Record]:
         words = f"got {len(meshes)} meshes and no {CAMERAS} in {str(place)!r}"
         raise ValueError(f"`path`: expected BOP's split, or a folder with one mesh, {words}")
     camera = place / "camera.json"
-    known = {"camera": str(camera)} if camera.is_file() else {}
+    known = str(camera) if camera.is_file() else None
     masks = place / "masks" if (place / "masks").is_dir() else place
     for file in sorted(f for f in masks.iterdir() if f.suffix.lower() in PICTURES):
         id = file.relative_to(place).as_posix()
-        yield {"id": id, "mesh": str(meshes[0]), "mask": str(file), **known}
+        yield {"id": id, "mesh": str(meshes[0]), "mask": str(file), "camera": known}
