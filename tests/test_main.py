@@ -211,7 +211,7 @@ def test_fit_needs_no_start(here, capsys):
     assert main(f"fit bumpy.ply blue.png {words}") == 0
     assert degrees(io.load_fit("found/camera.json"), CAMERA) < 0.2
     error = capsys.readouterr().err
-    assert f"by EXIF's FocalLengthIn35mmFilm {f35} mm; a first guess" in error
+    assert f"by EXIF's FocalLengthIn35mmFilm {f35} mm, held fixed unless phi is free" in error
     assert "mask: what differs from blue by more than" in error
     assert "96 x 80 pixels: " in error
 

@@ -14,7 +14,7 @@ from .._files.progress import Ticker
 from .._studio.bench import Bench
 from .._studio.session import MOST_BYTES, Session, new_session, session_from_text
 from .._studio.workpiece import Workpiece, workpiece_of
-from ..batch.inputs import Start, read_mask, read_start
+from ..batch.inputs import read_mask, read_start
 from .options import record_of
 
 
@@ -70,9 +70,7 @@ def _begun(options: argparse.Namespace, tell: Callable[[str], Any]) -> tuple[Wor
     if None in (options.mesh, options.photo):
         raise ValueError("expected MESH and PHOTO, or --session FILE")
     workpiece = workpiece_of(options.mesh, options.photo, tell)
-    known, record = Start(), record_of(options)
-    if not record.keys().isdisjoint({"camera", "K", "fov", "dist"}):
-        known = read_start(record, workpiece.size, tell)
+    known = read_start(record_of(options, free="phi"), workpiece.size, tell)
     session = new_session(workpiece, known, options.up)
     if session.known_phi is None:
         degrees = math.degrees(float(session.camera.phi))

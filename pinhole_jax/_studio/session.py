@@ -3,7 +3,7 @@
 import json
 from typing import Any, NamedTuple
 
-from .. import Camera, io
+from .. import Camera
 from .._files.fields import Fields
 from .._files.paths import parse_json
 from ..batch.inputs import Start, numbers_of, poseless_camera
@@ -41,16 +41,14 @@ class Session(NamedTuple):
 
 def new_session(workpiece: Workpiece, known: Start, up: str = "y") -> Session:
     """Return the session that begins with what is known of the camera: without a pose one that
-    sees all of the mesh, upright along `up`; without a field of view the one in the photo's EXIF
-    data, or a guess, which is free.
+    sees all of the mesh, upright along `up`; without a field of view a guess, which is free.
     """
-    (W, H), camera = workpiece.size, known.camera
-    phi = known.phi if camera is None else camera.phi
-    if phi is None and (fov := io.photo_fov(workpiece.photo)) is not None:
-        phi = fov.phi
+    camera, phi = known.camera, known.phi
     if camera is None:
-        start = poseless_camera(PHI if phi is None else phi, W, H, known.lens)
+        start = poseless_camera(PHI if phi is None else phi, *workpiece.size, known.lens)
         camera = frame_object(start, workpiece.extent, up)
+    else:
+        phi = camera.phi
     free, phi = (("pose", "phi"), None) if phi is None else (("pose",), float(phi))
     return Session(workpiece.mesh, workpiece.photo, camera, free, known_phi=phi)
 

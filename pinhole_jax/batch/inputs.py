@@ -14,7 +14,7 @@ import numpy as np
 import pinhole_jax as pj
 
 from .._files.naming import named
-from .records import PICTURES, Record, has_numbers, setting
+from .records import PICTURES, Record, files_of, setting
 
 #: A function that prints or keeps a sentence about an input.
 Say = Callable[[str], Any]
@@ -135,30 +135,27 @@ def read_start(record: Record, size: Size, say: Say) -> Start:
         if name in record and not {*ways} & {*needed}:
             words = f"expected `{'` or `'.join(needed)}` with it, got none"
             raise ValueError(f"`{name}`: {words}")
-    before, crop = _before_resize(record, size)
-    picture = before
-    if crop is not None:
-        left, top, W, H = crop
-        picture = math.ceil(max(left, 0)) + W, math.ceil(max(top, 0)) + H
+    left, top, W, H = window = _window(record, size)
+    picture = math.ceil(max(left, 0)) + W, math.ceil(max(top, 0)) + H
     if ways == ["camera"]:
         camera = _file_camera(record, picture)
     elif ways == ["K"]:
         camera = _K_camera(record, picture)
-        if crop is None:
+        if "crop" not in record:
             _check_centre(camera, setting(record, "pixel_centres"), say)
     elif (phi := _phi(record, say)) is None:
         return Start()
     else:
         camera = poseless_camera(phi, *picture)
-    if crop is not None:
-        camera = pj.formats.cropped(camera, *crop)
-    elif before != (camera.W, camera.H):
-        got = f"{_size_words(before)}, got one of {_size_words((camera.W, camera.H))}"
+    if "crop" in record:
+        camera = pj.formats.cropped(camera, *window)
+    elif (W, H) != (camera.W, camera.H):
         raise ValueError(
-            f"`{ways[0]}`: expected a camera of the mask's size {got}; if the mask was cut out of"
-            " its picture, or resized, add `crop` or `resize`"
+            f"`{ways[0]}`: expected a camera of the mask's size {W} x {H}, got one of"
+            f" {camera.W} x {camera.H}; if the mask was cut out of its picture, or resized, add"
+            " `crop` or `resize`"
         )
-    if before != size:
+    if size != (W, H):
         camera = pj.formats.resized(camera, *size)
     has_pose = ways == ["camera"] or "start" in record
     return Start(camera) if has_pose else Start(phi=camera.phi, lens=camera.lens)
@@ -169,23 +166,21 @@ def poseless_camera(phi: Any, W: int, H: int, lens: pj.Lens | None = None) -> pj
     return pj.Camera([0, 0, 1], [0, 0, 0], [0, 1, 0], phi, 1.0, W, H, lens)
 
 
-def _before_resize(record: Record, size: Size) -> tuple[Size, tuple[float, float, int, int] | None]:
-    """Return the mask's size before it was resized, and its window (left, top, W, H) in the
-    picture, None if it shows all of that."""
-    before = size
+def _window(record: Record, size: Size) -> tuple[float, float, int, int]:
+    """Return the mask's window (left, top, W, H) in the picture, before it was resized."""
+    W, H = size
     if "resize" in record:
-        before = _pixel_size("resize", *numbers_of("resize", record["resize"], 2))
+        W, H = _pixel_size("resize", *numbers_of("resize", record["resize"], 2))
     if "crop" not in record:
-        return before, None
+        return 0, 0, W, H
     left, top, *sides = numbers_of("crop", record["crop"], 4)
-    window = _pixel_size("crop", *sides)
-    if window != before:
+    w, h = _pixel_size("crop", *sides)
+    if (w, h) != (W, H):
         raise ValueError(
-            f"`crop`: expected the size of the mask or of `resize`, {_size_words(before)}, got"
-            f" {_size_words(window)}; if the mask was resized after that, add `resize`"
-            f" {window[0]} {window[1]}"
+            f"`crop`: expected the size of the mask or of `resize`, {W} x {H}, got {w} x {h}; if"
+            f" the mask was resized after that, add `resize` {w} {h}"
         )
-    return before, (left, top, *window)
+    return left, top, w, h
 
 
 def _pixel_size(field: str, W: float, H: float) -> Size:
@@ -193,10 +188,6 @@ def _pixel_size(field: str, W: float, H: float) -> Size:
     if W % 1 or H % 1 or min(W, H) < 1:
         raise ValueError(f"`{field}`: expected a width and height in px, got {W:g} x {H:g}")
     return int(W), int(H)
-
-
-def _size_words(size: Size) -> str:
-    return f"{size[0]} x {size[1]}"
 
 
 def _file_camera(record: Record, size: Size) -> pj.Camera:
@@ -213,7 +204,7 @@ def _K_camera(record: Record, size: Size) -> pj.Camera:
     if "dist" in record:
         numbers = numbers_of("dist", record["dist"], 4, 5, 8)
         distortion = (pj.Rational if len(numbers) == 8 else pj.BrownConrady)(*numbers)
-    if isinstance(K, str) and not has_numbers(K):
+    if "K" in files_of(record):
         with named(path="K"):
             camera = pj.formats.read_intrinsics(K, size=size, pixel_centres=centres)
         if distortion is not None and camera.distortion is not None:
@@ -276,8 +267,8 @@ def _phi(record: Record, say: Say) -> float | None:
         photo = record.get(source)
         fov = pj.io.photo_fov(photo) if isinstance(photo, str) else None
     if fov is not None:
-        held = "a first guess" if focal_is_free else "held fixed: phi is not in `free`"
-        say(f"phi: {math.degrees(fov.phi):.2f} degrees by EXIF's {fov.words}; {held}")
+        words = f"{math.degrees(fov.phi):.2f} degrees by EXIF's {fov.words}"
+        say(f"phi: {words}, held fixed unless phi is free")
         return fov.phi
     if focal_is_free:
         return None
