@@ -25,11 +25,13 @@ from scipy.spatial.transform import Rotation
 import pinhole_jax as pj
 from pinhole_jax import __main__ as command
 from pinhole_jax._camera.axes import axes_of
+from pinhole_jax._files.exif import FieldOfView
 from pinhole_jax._studio import drawing, hand, session, strokes
 from pinhole_jax._studio.bench import Bench
-from pinhole_jax._studio.strokes import Stroke, png_of as png
+from pinhole_jax._studio.strokes import Stroke
 from pinhole_jax._studio.workpiece import Workpiece, mesh_file, photo_file, workpiece_of
 from pinhole_jax.batch.inputs import Start
+from pinhole_jax.show.page import png_of as png
 
 aiohttp = pytest.importorskip("aiohttp", reason="the page's server needs aiohttp")
 
@@ -622,8 +624,10 @@ def test_port_in_use_is_named(capsys, workpiece):
     assert f"`--port`: expected a port that is free, got {port}" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("fov", "phi"), [("", 0.7), ("--fov 30", np.deg2rad(30))])
-def test_command_passes_its_options_to_the_bench(monkeypatch, workpiece, tmp_path, fov, phi):
+@pytest.mark.parametrize(
+    ("fov", "exif", "phi"), [("", None, 0.7), ("", 0.5, 0.5), ("--fov 30", 0.5, np.deg2rad(30))]
+)
+def test_command_passes_its_options_to_the_bench(monkeypatch, workpiece, tmp_path, fov, exif, phi):
     from pinhole_jax._studio import server
 
     benches = []
@@ -633,10 +637,13 @@ def test_command_passes_its_options_to_the_bench(monkeypatch, workpiece, tmp_pat
         benches.append(studio._new_bench())
 
     monkeypatch.setattr(server, "serve", serve)
+    found = None if exif is None else FieldOfView(exif, "a focal length")
+    monkeypatch.setattr(pj.io, "photo_fov", lambda path: found)
     pj.io.save_image(tmp_path / "mask.png", np.pad(np.ones((20, 20)), 22))
     files = f"{workpiece.mesh} {workpiece.photo} --mask {tmp_path}/mask.png"
     assert main(f"{files} --up z {fov} --port 1234") == 0
     (bench,) = benches
     assert np.sum(bench.mask == 255) == 400
     assert float(bench.session.camera.phi) == pytest.approx(phi)
+    assert bench.session.free == (("pose", "phi") if phi == 0.7 else ("pose",))
     assert axes_of(bench.session.camera)[1][2] > 0.8

@@ -20,6 +20,7 @@ from .. import Fit, Progress, fit_camera, io, silhouette
 from .._files.paths import written_path
 from ..batch.inputs import Start, numbers_of
 from ..formats import FORMATS
+from ..show.page import png_of
 from . import hand
 from .descriptions import fit_description, with_assumed_phi
 from .drawing import camera_numbers, grid_lines, outline_lines, straight_lines
@@ -32,7 +33,6 @@ from .strokes import (
     guess_mask,
     guides_around,
     mask_of,
-    png_of,
     stroke_of,
     strokes_of,
 )

@@ -41,7 +41,7 @@ class Stroke(NamedTuple):
 
 
 class LoadedMask(NamedTuple):
-    """A mask from a file, as `png_of` has it; it replaces all strokes before it."""
+    """A mask from a file, a PNG in base64; it replaces all strokes before it."""
 
     mask: str
 
@@ -168,18 +168,9 @@ def _resized(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     return np.asarray(Image.fromarray(bytes_).resize(size, way))
 
 
-def png_of(mask: np.ndarray) -> str:
-    """Return a mask as a PNG file in base64."""
-    from PIL import Image
-
-    data = BytesIO()
-    Image.fromarray(mask).save(data, "PNG", compress_level=1)
-    return base64.b64encode(data.getvalue()).decode()
-
-
 @lru_cache(2)
 def pixels_of(png: str) -> np.ndarray:
-    """Return the mask (H, W) of `png_of`."""
+    """Return the mask (H, W) of a PNG file in base64."""
     from PIL import Image
 
     return np.asarray(Image.open(BytesIO(base64.b64decode(png)), formats=("PNG",)))

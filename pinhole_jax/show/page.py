@@ -2,8 +2,8 @@
 
 import base64
 import html
-import io
 from collections.abc import Iterable, Mapping
+from io import BytesIO
 
 import numpy as np
 
@@ -83,16 +83,20 @@ def items(sentences: Iterable[str]) -> str:
 
 def figure(picture: np.ndarray | Svg, words: str) -> str:
     """Return a picture (uint8 RGB or grey, or a diagram) with a caption."""
-    from PIL import Image
-
     caption = f"<figcaption>{as_html(words)}</figcaption></figure>"
     if isinstance(picture, Svg):
         return f'<figure class="diagram">{picture}{caption}'
-    buffer = io.BytesIO()
-    Image.fromarray(picture).save(buffer, "PNG", optimize=True)
-    data = base64.b64encode(buffer.getvalue()).decode()
     alt = html.escape(words)
-    return f'<figure><img alt="{alt}" src="data:image/png;base64,{data}">{caption}'
+    return f'<figure><img alt="{alt}" src="data:image/png;base64,{png_of(picture)}">{caption}'
+
+
+def png_of(picture: np.ndarray) -> str:
+    """Return a picture (uint8, RGB or grey) as a PNG file in base64."""
+    from PIL import Image
+
+    data = BytesIO()
+    Image.fromarray(picture).save(data, "PNG")
+    return base64.b64encode(data.getvalue()).decode()
 
 
 def table(
