@@ -31,7 +31,7 @@ def robot_page(
     proposed: str | None = None,
     pixel_centres: Literal["integer", "half"] = "integer",
 ) -> str:
-    """Return a page about a fit to masks (H, W), which come from files of these names.
+    """Return a page about a fit to masks (H, W), uint8, which come from files of these names.
 
     `pictures` (the masks, or photos) are drawn below the outlines. `frame` is the link whose frame
     the camera is in. `halves` and `proposed` are sentences for sections of their own.
@@ -44,16 +44,13 @@ def robot_page(
         "disagreement": f"{fit.excess:.1f} x mask errors",
     }
     pose = object_pose(camera, pixel_centres=pixel_centres)
-    weak = [*fit.weak, *camera.weak]
-    if fit.modes:
-        weak.append(f"{len(fit.modes)} other camera poses fit the masks equally well")
     well = "<p>Every parameter is well determined, and the views agree.</p>"
     sections = {
         "Outlines": "".join(_outlines(fit, pictures, names)),
         f"The camera in the frame of {as_html(frame)}": parameters(camera, "Fitted parameters")
         + _zeros(fit)
         + "<p>A 95 % interval is 1.96 sigma to either side.</p>",
-        "What the masks leave open": items(weak) or well,
+        "What the masks leave open": items([*fit.notes, *camera.weak]) or well,
         "Postures": _views(fit, masks, names),
         "K, R and t": f"<pre>{as_html(str(pose))}</pre>",
     }
@@ -65,8 +62,6 @@ def robot_page(
 
 def _outlines(fit: JointFit, pictures: Sequence[np.ndarray], names: Sequence[str]) -> Iterator[str]:
     for k, (view, picture, name) in enumerate(zip(fit.views, pictures, names, strict=True)):
-        if picture.ndim == 2:
-            picture = np.round(255 * as_coverage(picture)).astype(np.uint8)
         window = object_window(view.camera, view.scene)
         drawn = overlay(picture, view.camera, view.scene, window=window)
         yield figure(drawn, f"View {k}, {name}: the recovered outline, IoU {view.iou:.4f}.")
