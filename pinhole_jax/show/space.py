@@ -45,8 +45,7 @@ class Sheet(NamedTuple):
         b1, b2, v = axes_of(camera)
         aside = np.cos(BEHIND) * b1 - np.sin(BEHIND) * v
         back = np.cos(ABOVE) * aside + np.sin(ABOVE) * b2
-        right = np.cross(b2, back)
-        right /= np.linalg.norm(right)
+        right = np.cross(b2, aside)
         axes = np.stack([right, np.cross(right, back), back])
         low, high = (spread @ axes[:2].T).min(axis=0), (spread @ axes[:2].T).max(axis=0)
         scale = float(np.min((np.array(size) - 2 * room) / np.maximum(high - low, 1e-30)))
