@@ -25,7 +25,7 @@ from . import hand
 from .descriptions import fit_description, with_assumed_phi
 from .drawing import camera_numbers, grid_lines, outline_lines, straight_lines
 from .exports import export, plain
-from .session import Session, free_of, line_of, session_from_text, session_to_text
+from .session import Session, free_of, session_from_text, session_to_text
 from .strokes import (
     GUIDES,
     LoadedMask,
@@ -205,7 +205,7 @@ class Bench:
         """Show a grid of straight lines or not; add a line through two places, or drop them all."""
         self._straight = bool(grid)
         lines = () if clear else self.session.lines
-        return self._show(lines=lines if line is None else (*lines, line_of(line)))
+        return self._show(lines=lines if line is None else (*lines, numbers_of("line", line, 4)))
 
     def stroke(self, **data: Any) -> Answer:
         """Draw: see `strokes.stroke_of`."""

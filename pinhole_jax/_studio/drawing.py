@@ -22,8 +22,6 @@ POINTS = 49
 #: Lines farther from the picture than this many of its sides are not drawn.
 FAR = 20
 
-Line = tuple[tuple[float, float], tuple[float, float]]
-
 
 def camera_numbers(camera: Camera) -> dict[str, Any]:
     """Return the camera's numbers for the page's shader and sliders."""
@@ -79,12 +77,12 @@ def grid_lines(camera: Camera) -> list[list[list[float]]]:
     return parts
 
 
-def straight_lines(camera: Camera, lines: Sequence[Line]) -> list[list[list[float]]]:
+def straight_lines(camera: Camera, lines: Sequence[Any]) -> list[list[list[float]]]:
     """Return lines straight in space, each from one place of the picture to another, as the lens
     shows them."""
     if not lines:
         return []
-    ends = from_top(camera, np.array(lines, float)).astype(camera.e.dtype)
+    ends = from_top(camera, np.reshape(lines, (-1, 2, 2))).astype(camera.e.dtype)
     rays = np.asarray(rays_through(camera, ends).direction, float) @ axes_of(camera).T
     return _bent(camera, rays[..., :2] / rays[..., 2:]).tolist()
 

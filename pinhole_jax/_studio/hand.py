@@ -11,6 +11,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from .. import BrownConrady, Camera, Lens
+from ..show.outline import from_top
 from ..show.space import axes_of
 
 #: The first direction from an upright object to the camera: ahead, to the right and above.
@@ -36,8 +37,7 @@ def focal_px(camera: Camera) -> Float[np.ndarray, "2"]:
 
 def principal_point(camera: Camera) -> Float[np.ndarray, "2"]:
     """Return the principal point in film coordinates (px)."""
-    x, y = np.asarray(camera.K, float)[:2, 2] + 0.5
-    return np.array([x, camera.H - y])
+    return from_top(camera, np.asarray(camera.K, float)[:2, 2] + 0.5)
 
 
 class Extent(NamedTuple):

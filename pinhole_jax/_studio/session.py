@@ -26,7 +26,7 @@ class Session(NamedTuple):
     - `mesh`, `photo`: their files. The photo has the camera's size.
     - `camera`: the current camera. `free`: the parameters that a fit may change.
     - `strokes`: strokes and loaded masks, in order.
-    - `lines`: pairs of places (px from the upper left corner) along straight edges.
+    - `lines`: x, y, x, y (px from the upper left corner) of two places along straight edges.
     - `known_phi`: the field of view (rad) that an option, a file or the photo gave, if any.
     """
 
@@ -35,7 +35,7 @@ class Session(NamedTuple):
     camera: Camera
     free: tuple[str, ...] = ("pose",)
     strokes: Work = ()
-    lines: tuple[Any, ...] = ()
+    lines: tuple[list[float], ...] = ()
     known_phi: float | None = None
 
 
@@ -70,7 +70,7 @@ def session_from_text(text: str, name: str = "session") -> Session:
         camera = camera_from_dict(fields.data.get("camera") or {}, fitted=True)
         work = work_from_list(fields.data.get("strokes", []), camera.W, camera.H)
         free = free_of(fields.data.get("free", ["pose"]))
-        lines = tuple(map(line_of, fields.data.get("lines", [])))
+        lines = tuple(numbers_of("line", ends, 4) for ends in fields.data.get("lines", []))
     except (TypeError, ValueError) as error:
         raise ValueError(f"{error} (in {name!r})") from error
     return Session(fields.text("mesh"), fields.text("photo"), camera, free, work, lines, phi)
@@ -81,9 +81,3 @@ def free_of(names: Any) -> tuple[str, ...]:
     if not names or not {*names} <= {*FREE}:
         raise ValueError(f"`free`: expected some of {', '.join(FREE)}, got {names!r}")
     return tuple(names)
-
-
-def line_of(data: Any) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return a line's ends, two places [x, y], or raise ValueError."""
-    a, b, c, d = numbers_of("line", data, 4)
-    return (a, b), (c, d)
