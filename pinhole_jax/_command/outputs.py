@@ -38,7 +38,7 @@ def write_results(
     the camera is finite; say so."""
     folder, report = Path(options.output), options.report if fit.status != "non_finite" else None
     written = [folder / name for name in ("camera.json", *drawings)]
-    words = written_words(*written, *[report] * (report is not None))
+    words = written_words(*written, *([] if report is None else [report]))
     with named(path="output"):
         io.save_fit(written[0], fit, pixel_centres=options.pixel_centres)
         for path, drawing in zip(written[1:], drawings.values(), strict=True):

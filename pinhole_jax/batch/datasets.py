@@ -3,14 +3,13 @@
 import contextlib
 import csv
 import json
-import os
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from reprlib import repr as brief
 from typing import Any
 
-from .._files.paths import read_json
+from .._files.paths import FilePath, read_json
 from .records import FIELDS, PATHS, PICTURES, Record, files_of, plain_record
 
 #: The endings of meshes and tables.
@@ -43,11 +42,11 @@ class Dataset:
 
 
 def read_dataset(
-    path: str | os.PathLike[str],
+    path: FilePath,
     *,
     start: bool = False,
-    models: str | os.PathLike[str] | None = None,
-    detections: str | os.PathLike[str] | None = None,
+    models: FilePath | None = None,
+    detections: FilePath | None = None,
     **fields: object,
 ) -> Dataset:
     """Return the records of a data set.
@@ -81,9 +80,8 @@ def read_dataset(
         inside = [place.resolve(), *sorted(place.resolve().iterdir())]
         kind, records = "folder", partial(_folder_records, place)
         if scenes := [folder for folder in inside if (folder / CAMERAS).is_file()]:
-            found = None if detections is None else Path(detections)
             shapes = _models(place, models)
-            kind, records = "BOP", partial(_bop_records, scenes, shapes, found, start)
+            kind, records = "BOP", partial(_bop_records, scenes, shapes, detections, start)
     elif place.suffix.lower() not in TABLES:
         words = f"expected a folder or one of {', '.join(TABLES)}, got {str(path)!r}"
         raise ValueError(f"`path`: {words}")
@@ -98,7 +96,7 @@ def _with_defaults(fields: dict[str, Any], record: Record) -> Record:
     return {**{name: value for name, value in fields.items() if name not in own}, **known}
 
 
-def _models(place: Path, models: str | os.PathLike[str] | None) -> Path:
+def _models(place: Path, models: FilePath | None) -> Path:
     above = place.resolve().parents[:2]
     places = [Path(models)] if models else [folder / name for folder in above for name in MODELS]
     if existing := [folder for folder in places if folder.is_dir()]:
@@ -108,7 +106,7 @@ def _models(place: Path, models: str | os.PathLike[str] | None) -> Path:
 
 
 def _bop_records(
-    scenes: list[Path], models: Path, detections: Path | None, start: bool
+    scenes: list[Path], models: Path, detections: FilePath | None, start: bool
 ) -> Iterator[Record]:
     from .._files.fields import Fields, read_fields  # load NumPy, which counts the cores
 
@@ -143,7 +141,7 @@ def _pose(label: Any) -> list[list[float]]:
     return [*([*row, x] for row, x in zip(R.tolist(), t.tolist(), strict=True)), [0, 0, 0, 1]]
 
 
-def _detections(path: Path) -> dict[str, dict[str, list[dict[str, Any]]]]:
+def _detections(path: FilePath) -> dict[str, dict[str, list[dict[str, Any]]]]:
     """Return COCO's detections as BOP labels objects: by scene (six digits) and image."""
     from .._files.fields import Fields
 

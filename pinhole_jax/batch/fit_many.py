@@ -2,7 +2,6 @@
 
 import itertools
 import json
-import os
 import time
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -12,6 +11,7 @@ from functools import partial
 from reprlib import repr as brief
 from typing import Any, NamedTuple
 
+from .._files.paths import FilePath
 from ..names import STATUSES
 from .engine import rows_of, tracked_rows
 from .parts import Results, Writer
@@ -64,7 +64,7 @@ def fit_many(
     *,
     executor: Executor | None = None,
     workers: int | None = None,
-    out: str | os.PathLike[str] | None = None,
+    out: FilePath | None = None,
     progress: Callable[[Count], object] | None = None,
     shard: tuple[int, int] = (1, 1),
     time_limit: float | None = TIME_LIMIT,

@@ -2,7 +2,6 @@
 
 import itertools
 import json
-import os
 import secrets
 import time
 from collections import Counter
@@ -10,14 +9,14 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from .._files.paths import replace_file
+from .._files.paths import FilePath, replace_file
 from .rows import Row, line_of, row_of
 
 #: A part is written after this many rows or seconds: a crash loses no more.
 ROWS, SECONDS = 500, 10.0
 
 
-def write_lines(path: str | os.PathLike[str], lines: Iterable[str]) -> int:
+def write_lines(path: FilePath, lines: Iterable[str]) -> int:
     """Write lines to a file, whole or not at all; return their number.
 
     Raises ValueError for a path that cannot be written.
@@ -81,7 +80,7 @@ class Results:
 
     folder: Path
 
-    def __init__(self, folder: str | os.PathLike[str]):
+    def __init__(self, folder: FilePath):
         self.folder = Path(folder)
         if self.folder.exists() and not self.folder.is_dir():
             raise ValueError(f"`out`: expected a folder, got {str(folder)!r}: a file")

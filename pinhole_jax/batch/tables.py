@@ -3,7 +3,6 @@
 import csv
 import json
 import math
-import os
 import re
 from collections.abc import Iterator
 from io import StringIO
@@ -12,6 +11,7 @@ from typing import Any
 
 import pinhole_jax as pj
 
+from .._files.paths import FilePath
 from ..names import STATUSES
 from .parts import Results, write_lines
 from .rows import NO_FIT, Row, line_of
@@ -26,7 +26,7 @@ NUMBERS = {
 ANGLES = ("rotation", "phi")
 
 
-def merge(results: Results, path: str | os.PathLike[str]) -> int:
+def merge(results: Results, path: FilePath) -> int:
     """Write all rows, sorted by id, as one table; return their number.
 
     - .jsonl: a line of JSON for each row.
