@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from .. import Camera, JointFit, JointView, fit_joint, split_check
+from .. import JointFit, JointView, fit_joint, split_check
 from .._files.naming import named
 from .._files.progress import Ticker
 from ..batch.inputs import poseless_camera, read_mask, read_photo, read_start
@@ -37,10 +37,12 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
         if "pose" not in options.free.split(","):
             raise ValueError(f"`propose`: expected `pose` in --free, got {options.free!r}")
         proposed = _views(robot, options, options.propose, "propose")
-    camera, search = _start(options, masks[0], progress.tell)
+    H, W = masks[0].shape
+    known = read_start(record_of(options), (W, H), progress.tell)
+    camera = known.camera or poseless_camera(known.phi, W, H, known.lens)
 
     progress.say(f"fitting {len(views)} views (the first time compiles, some seconds)")
-    zeros = joint_zeros(options)
+    search, zeros = known.camera is None, joint_zeros(options)
     fit = fit_joint(views, camera, options.free, search=search, joint_zeros=zeros)
     halves = None
     if options.holdout:
@@ -49,8 +51,8 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
     finite = fit.status != "non_finite"
     helpful = None
     if proposed is not None and finite:
-        known = fit.cameras["camera"].camera
-        helpful = best_postures(worths(views, known, options.free, proposed, zeros))
+        best = fit.cameras["camera"].camera
+        helpful = best_postures(worths(views, best, options.free, proposed, zeros))
 
     progress.done()
     print(fit)
@@ -109,15 +111,6 @@ def _view(robot: Robot, angles: dict[str, float], options: argparse.Namespace) -
     mount = None if link is None else poses[link]
     posture = None if joint_zeros(options) is None else robot.posture(angles)
     return JointView(robot.scene_at(poses), None, mount=mount, posture=posture)
-
-
-def _start(
-    options: argparse.Namespace, mask: np.ndarray, say: Callable[[str], Any]
-) -> tuple[Camera, bool]:
-    """Return the camera to start from, and True if only its lens is known."""
-    H, W = mask.shape
-    camera, phi, lens = read_start(record_of(options), (W, H), say)
-    return (poseless_camera(phi, W, H, lens), True) if camera is None else (camera, False)
 
 
 def _pictures(options: argparse.Namespace, masks: list[np.ndarray]) -> list[np.ndarray]:
