@@ -115,7 +115,7 @@ test_bad_input_is_refused = refuses(
     {
         r"`mask`: expected shape \(H, W\), got \(56, 72, 1\)": {"mask": MASK[..., None]},
         "`mask`: expected one that covers some pixels, got none": {"mask": np.zeros((H, W))},
-        r"`pose`: expected finite numbers of shape \(4, 4\)": {"pose": np.eye(3)},
+        r"`pose`: expected finite numbers of shape \(3, 4\) or \(4, 4\)": {"pose": np.eye(3)},
         "`pose`: .* its last row 0 0 0 1, got": {"pose": 2 * POSE},
         r"`pose`: expected a rotation \(orthonormal": {"pose": 2 * POSE[:3]},
         "expected one of `K`, `focal_px`, `fov`, got none": {"K": None},

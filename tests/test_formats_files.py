@@ -61,7 +61,7 @@ WRONG = {
         "[0, 0, 0, 1] => [0, 0, 0, 2]": "`transform_matrix`: .* its last row 0 0 0 1, got",
         "[[1, 0 => [[NaN, 0": "`transform_matrix`: expected finite numbers",
         f'{EYE} => "x"': r"`transform_matrix`: .*got 'x' \(in '.*json', frames\[0\]\)",
-        f"{EYE} => [[1, 2], [3, 4]]": r"`transform_matrix`: .* of shape \(4, 4\), got \[\[1,",
+        f"{EYE} => [[1, 2], [3, 4]]": r"`transform_matrix`: .*\(3, 4\) or \(4, 4\), got \[",
         "transform_matrix => matrix": "`transform_matrix`: .*no such field",
         f"[{FRAME}] => 3": "`frames`: expected a list, got 3",
         f"{FRAME} => 3": "expected fields with names, got 3",
@@ -121,7 +121,7 @@ WRONG = {
         'value="1" => x="-1"': f"`to_world`{ROTATION}",
         'scale value="1" => up': "`to_world`: expected matrix, lookat, rotate, translate or sc",
         'scale value="1" => translate value="1, 2"': r"`value`: .* \(3,\), got .* <translate>",
-        'scale value="1" => matrix value="1 2 3"': r"`value`: .* of shape \(16,\), got .* <matr",
+        'scale value="1" => matrix value="1 2 3"': r"`value`: .*\(9,\) or \(16,\).* <matr",
         'scale value="1" => rotate angle="3"': "`rotate`: expected an axis, got none",
         'scale value="1" => lookat origin="0,1,0" target="0,0,0" up="0,1,0"': (
             "`up`: expected another direction than the view's"

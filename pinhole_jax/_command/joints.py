@@ -28,7 +28,7 @@ def joint_angles(path: str, robot: Robot) -> list[dict[str, float]]:
         raise fields.wrong(others[0], "names, postures and unit alone", "also it")
     names = [str(name) for name in fields.items("names")]
     unit = UNITS[fields.text("unit", [*UNITS], "rad")]
-    rows = fields.array("postures", (-1, len(names)), f"{len(names)} angles in each row")
+    rows = fields.array("postures", (-1, len(names)), expected=f"{len(names)} angles in each row")
     if not len(rows):
         raise fields.wrong("postures", "at least one row of angles", "none")
     units = np.array([1.0 if name in robot.sliding else unit for name in names])

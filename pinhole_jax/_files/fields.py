@@ -1,7 +1,6 @@
 """The fields of a file, taken out with checks that name the field, and the file it is in."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from itertools import zip_longest
 from typing import Any, TypeVar
 
 import numpy as np
@@ -56,7 +55,7 @@ class Fields:
         """Return a number between two others."""
         if default is not None and name not in self.data:
             return float(default)
-        value = float(self.array(name, (), expected))
+        value = float(self.array(name, (), expected=expected))
         if not least < value < most:
             raise self.wrong(name, expected, f"{value:g}")
         return value
@@ -85,27 +84,20 @@ class Fields:
         return parts[number]
 
     def array(
-        self, name: str, shape: Sequence[int], expected: str = "", finite: bool = True
+        self, name: str, *shapes: tuple[int, ...], expected: str = "", finite: bool = True
     ) -> np.ndarray:
-        """Return numbers of this shape (-1: any size), float64; unless `finite`, null is NaN."""
-        sizes = ", ".join("N" if n == -1 else str(n) for n in shape) + "," * (len(shape) == 1)
-        words = f"numbers of shape ({sizes})" if shape else "a number"
-        expected = expected or "finite " * finite + words
+        """Return numbers of one of these shapes (-1: any size; none given: any shape), float64;
+        unless `finite`, null is NaN."""
+        words = " or ".join(str(shape).replace("-1", "N") for shape in shapes)
+        expected = expected or f"{'finite ' * finite}numbers of shape {words}"
         value = self.get(name, expected)
         array = as_numbers(value if finite else _with_not_finite(value))
-        if array is None or (finite and not np.all(np.isfinite(array))):
-            raise self.wrong(name, expected, short(value))
-        if not finite and array.shape == (0,):  # no parameters, no rows
-            array = array.reshape(0, *shape[1:])
-        pairs = zip_longest(shape, array.shape)
-        if not all(want == size or (want == -1 and size is not None) for want, size in pairs):
-            raise self.wrong(name, expected, short(value))
-        return array
-
-    def shape(self, name: str) -> tuple[int, ...]:
-        """Return the shape of a field's numbers, () if it holds none."""
-        array = as_numbers(self.get(name, "numbers"))
-        return () if array is None else array.shape
+        if array is not None and (not finite or np.all(np.isfinite(array))):
+            if not finite and array.shape == (0,):  # no parameters, no rows
+                array = array.reshape(0, *shapes[0][1:])
+            if not shapes or any(_fits(array.shape, shape) for shape in shapes):
+                return array
+        raise self.wrong(name, expected, short(value))
 
     def rotation(self, name: str) -> np.ndarray:
         """Return the rotation (3, 3) of a quaternion (x, y, z, w), of length 1 up to rounding."""
@@ -185,6 +177,11 @@ def as_numbers(value: Any) -> np.ndarray | None:
     except (TypeError, ValueError):
         return None
     return array.astype(float) if array.dtype.kind in "iuf" else None
+
+
+def _fits(sizes: tuple[int, ...], shape: tuple[int, ...]) -> bool:
+    pairs = zip(sizes, shape, strict=False)
+    return len(sizes) == len(shape) and all(wanted in (-1, size) for size, wanted in pairs)
 
 
 def _with_not_finite(value: Any) -> Any:

@@ -69,7 +69,7 @@ def place_nodes(nodes: list[Fields], roots: Iterable[float]) -> dict[int, np.nda
 def children(part: Fields, nodes: list[Fields], name: str = "children") -> list[float]:
     """Return the numbers of nodes that a field lists."""
     expected = f"numbers of nodes below {len(nodes)}"
-    numbers = part.array(name, (-1,), expected).tolist() if name in part else []
+    numbers = part.array(name, (-1,), expected=expected).tolist() if name in part else []
     if not all(0 <= k < len(nodes) and k == int(k) for k in numbers):
         raise part.wrong(name, expected, numbers)
     return numbers

@@ -174,8 +174,7 @@ def _views(fields: Fields, W: int, H: int) -> Iterator[tuple[tuple[str, str], Pi
 
 def _poses(fields: Fields) -> Iterator[tuple[tuple[str, str], Pose]]:
     """Yield every reading of the pose: axes, direction."""
-    shape = fields.shape("pose")
-    matrix = fields.array("pose", shape if shape == (3, 4) else (4, 4))
+    matrix = fields.array("pose", (3, 4), (4, 4))
     if len(matrix) == 4 and np.any(matrix[3, :3]) and not np.any(matrix[:3, 3]):
         readings = {", row vectors": pose_from_matrix(matrix.T, fields, "pose")}
     else:  # R of row vectors beside a translation: [R | t] of PyTorch3D's R and T

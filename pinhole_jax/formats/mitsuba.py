@@ -7,6 +7,7 @@ height, positive where the principal point moves left and up. Film positions cou
 pixel centres at halves.
 """
 
+import math
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping
@@ -217,8 +218,9 @@ def _step(kind: str, fields: Fields) -> Pose:
 
     result = np.eye(4)
     if kind == "matrix":
-        n = 3 if fields.shape("value") == (9,) else 4
-        result[:n, :n] = fields.array("value", (n * n,)).reshape(n, n)
+        numbers = fields.array("value", (9,), (16,))
+        n = math.isqrt(numbers.size)
+        result[:n, :n] = numbers.reshape(n, n)
     elif kind in ("lookat", "look_at"):
         origin, target, up = (fields.array(name, (3,)) for name in ("origin", "target", "up"))
         try:
@@ -246,8 +248,7 @@ def _xyz(fields: Fields, default: int) -> np.ndarray:
     """Return a step's vector: of `value`, one number or three, or of x, y and z."""
     if "value" not in fields:
         return np.array([fields.number(x, default) for x in "xyz"])
-    numbers = fields.array("value", (3,)[: len(fields.shape("value"))])
-    return np.broadcast_to(numbers, 3)
+    return np.broadcast_to(fields.array("value", (), (3,)), 3)
 
 
 def _snake(name: str) -> str:

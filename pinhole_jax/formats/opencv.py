@@ -47,7 +47,8 @@ NAMES = {
     "pixel_centres": "pixelcentres",
 }
 PLAIN_NAMES = {plain: name for name, known in NAMES.items() for plain in known.split()}
-POSES = ("extrinsic_parameters", "rvec", "R")
+#: A pose's fields, and their shapes.
+POSES = {"extrinsic_parameters": [(-1, 6)], "rvec": [(3,)], "R": [(3,), (3, 3)]}
 #: What looks like coefficients of a lens, one number or several, under a name that is not known.
 LENS_NUMBER = re.compile(r"(.*[_.\-\s])?([kp][1-6]|xi)", re.I)
 LENS_NUMBERS = re.compile(
@@ -209,7 +210,7 @@ def _known(file: Fields) -> Fields:
             raise file.wrong(name, "one such field", f"{str(key)!r} too")
         else:
             value = storage.matrix_array(name, value, file.where)
-            flat = name != "extrinsic_parameters" and 1 in Fields({name: value}, "").shape(name)
+            flat = name != "extrinsic_parameters" and 1 in np.shape(as_numbers(value))
             known[name] = np.ravel(value) if flat else value
     return Fields(known, file.where, written)
 
@@ -262,13 +263,12 @@ def _poses(fields: Fields) -> list[Pose]:
     others += ["t"] if name == "extrinsic_parameters" and "t" in fields else []
     if others:
         raise fields.wrong(name, "one kind of pose", f"both it and {others[0]}")
-    if name == "R" and fields.shape(name) != (3,):
-        matrix = np.c_[fields.array(name, (3, 3)), fields.array("t", (3,))]
-        return [pose_from_matrix(matrix, fields, name)]
-    if name == "extrinsic_parameters":
-        rows = fields.array(name, (-1, 6))
-    else:
-        rows = np.r_[fields.array(name, (3,)), fields.array("t", (3,))][None]
+    rows = fields.array(name, *POSES[name])
+    if name != "extrinsic_parameters":
+        shift = fields.array("t", (3,))
+        if rows.ndim > 1:
+            return [pose_from_matrix(np.c_[rows, shift], fields, name)]
+        rows = np.r_[rows, shift][None]
     if np.any(np.abs(rows[:, :3]) > MOST_ANGLE):
         raise fields.wrong(name, f"a turn of at most {MOST_ANGLE:g} rad", rows)
     from scipy.spatial.transform import Rotation
@@ -283,7 +283,7 @@ def _distortion(fields: Fields) -> Distortion | None:
     if isinstance(fields.data.get(name), Mapping):
         part = fields.part(name)
         return distortion_model({key: part.number(key) for key in part.data}, fields, models)
-    values = np.ravel(fields.array(name, fields.shape(name))) if name in fields else ()
+    values = np.ravel(fields.array(name)) if name in fields else ()
     if len(values) not in (0, *sizes):
         words = " or ".join(map(str, sizes)) + " coefficients"
         raise fields.wrong(name, words + " of a fisheye" * fisheye, values)

@@ -138,14 +138,13 @@ def pose_from_matrix(matrix: np.ndarray, fields: Fields, name: str) -> Pose:
 
 def read_pose(fields: Fields, name: str) -> Pose:
     """Return the rigid transform of a field, (3, 4) or (4, 4)."""
-    rows = 3 if name in fields and fields.shape(name) == (3, 4) else 4
-    return pose_from_matrix(fields.array(name, (rows, 4)), fields, name)
+    return pose_from_matrix(fields.array(name, (3, 4), (4, 4)), fields, name)
 
 
 def read_matrix(fields: Fields, name: str, W: int, H: int, half: float) -> Pinhole:
     """Return the intrinsics of a field's K (3, 3), or fx, fy, cx, cy, whose pixel centres are at
     integers (`half` is 0.5) or at halves (0)."""
-    K = np.ravel(fields.array(name, fields.shape(name), "finite numbers of shape (3, 3)"))
+    K = np.ravel(fields.array(name, expected="finite numbers of shape (3, 3)"))
     if len(K) == 9 and [K[3], *K[6:]] == [0, 0, 0, 1] and abs(K[1]) <= 1e-9 * abs(K[0]):
         K = K[[0, 4, 2, 5]]
     if len(K) != 4:

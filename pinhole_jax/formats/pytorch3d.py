@@ -106,8 +106,7 @@ def _camera(fields: Fields, in_ndc: bool, size: Size | None = None) -> Camera:
         fy = focal_from_fov(fields.angle("fov"), 2 * half)
         fx = fy / fields.positive("aspect_ratio")
     else:
-        shape = (2,) if fields.shape("focal_length") == (2,) else ()
-        focal = fields.array("focal_length", shape, "one number or two")
+        focal = fields.array("focal_length", (), (2,), expected="one number or two")
         fx, fy = np.broadcast_to(focal * (half if in_ndc else 1.0), 2)
     cx, cy = W / 2, H / 2
     if "principal_point" in fields:

@@ -191,7 +191,7 @@ def _progress(fields: Fields, dtype: np.dtype) -> Progress:
 
 
 def _counts(fields: Fields, name: str) -> tuple[int, ...]:
-    counts = fields.array(name, (-1,), "a list of counts")
+    counts = fields.array(name, (-1,), expected="a list of counts")
     if np.any(counts % 1) or np.any(counts < 0):
         raise fields.wrong(name, "a list of counts", counts)
     return tuple(map(int, counts))
@@ -205,7 +205,7 @@ def _texts(fields: Fields, name: str) -> tuple[str, ...]:
 
 
 def _number(fields: Fields, name: str) -> float:
-    return float(fields.array(name, (), finite=False))
+    return float(fields.array(name, (), expected="a number", finite=False))
 
 
 def _optional_array(fields: Fields, name: str, shape: tuple[int, ...]) -> np.ndarray | None:
