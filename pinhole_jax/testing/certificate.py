@@ -178,16 +178,13 @@ def _gradient(image: Callable, point: Any, weight: Array) -> Any:
 
 def _moved_image(rendering: _Rendering, probe: Probe, h: float) -> np.ndarray:
     """Return the image at h times a direction from the point."""
-    leaf = np.asarray(probe.where(rendering.fine))
-    moved = jnp.asarray(leaf + h * probe.value, leaf.dtype)
-    point = eqx.tree_at(probe.where, rendering.fine, moved)
-    return np.asarray(_render(rendering.image, point), float)
+    shift = jax.tree.map(lambda x: x.astype(float) * h, probe.direction)
+    return np.asarray(_render(rendering.image, eqx.apply_updates(rendering.fine, shift)), float)
 
 
 def _row(rendering: _Rendering, probe: Probe, scales: Scales) -> Row:
-    still = jax.tree.map(jnp.zeros_like, eqx.filter(rendering.point, eqx.is_inexact_array))
-    tangent = eqx.tree_at(probe.where, still, jnp.asarray(probe.value))
-    derivative = np.asarray(_forward(rendering.image, rendering.point, tangent), float)
+    derivative = _forward(rendering.image, rendering.point, probe.direction)
+    derivative = np.asarray(derivative, float)
     steps = probe.step * np.asarray(STEPS)
     up, down = (
         np.stack([_moved_image(rendering, probe, h) for h in sign * steps]) for sign in (1, -1)
@@ -223,9 +220,9 @@ def _verdict(errors: np.ndarray, gap: float, nearby: Slopes, scales: Scales, sca
 
 def _mode_gap(rendering: _Rendering, probe: Probe, derivative: np.ndarray, least: float) -> float:
     """Return the relative distance of <gradient, direction> from <weight, derivative>."""
-    moved = probe.value != 0  # a NaN elsewhere belongs to another row
-    gradient = np.asarray(probe.where(rendering.gradient), float)
-    pulled = np.sum(gradient[moved] * probe.value[moved])
+    pairs = zip(*map(jax.tree.leaves, (rendering.gradient, probe.direction)), strict=True)
+    # (A NaN where the direction is 0 belongs to another row.)
+    pulled = sum(np.sum(np.asarray(g, float)[x != 0] * x[x != 0]) for g, x in pairs)
     parts = rendering.weight * derivative
     scale = max(np.sum(np.abs(parts)), least * sum(derivative.shape))
     return float(np.abs(pulled - np.sum(parts)) / scale)

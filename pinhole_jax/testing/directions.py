@@ -1,13 +1,13 @@
 """Directions to move a camera and a scene in, one at a time, and their steps."""
 
-from collections.abc import Callable, Iterator
-from operator import attrgetter
-from typing import Any, NamedTuple
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from .._camera.camera import Camera
 from .._camera.rays import project, rays_through
@@ -18,14 +18,13 @@ Point = tuple[Camera, Scene]
 
 
 class Probe(NamedTuple):
-    """A direction `value` in the leaf that `where` picks from (camera, scene).
+    """A direction of (camera, scene): their float arrays, 0 in all but one of them.
 
-    `step` is a power of two, in the leaf's units: the rounding of x + step is then the least.
+    `step` is a power of two, in that array's units: the rounding of x + step is then the least.
     """
 
     name: str
-    where: Callable[[Any], Array]
-    value: np.ndarray
+    direction: Point
     step: float
 
 
@@ -36,31 +35,26 @@ def camera_and_scene(point: Point, scales: Scales, directions: int, seed: int) -
     A vertex moves independently of its neighbours. If differences are coarse it moves smoothly with
     them: over a long step the outline would jump from vertex to vertex.
     """
-    random, motion = np.random.default_rng(seed), (_motion(*point), None)
-    for number, name, where in _float_arrays(point):
-        leaf, in_scene = np.asarray(where(point)), number == 1
+    random, motion = np.random.default_rng(seed), _motion(*point)
+    leaves, tree = jax.tree.flatten_with_path(eqx.filter(point, eqx.is_inexact_array))
+    still, slopes = [jnp.zeros_like(leaf) for _, leaf in leaves], jax.tree.leaves(motion)
+    for number, ((part, *_, key), leaf) in enumerate(leaves):
+        if not leaf.size:
+            continue
         # (What moves nothing is taken to turn the picture round; vertices move as the eye does.)
-        px = np.max(np.abs(motion[0].e if in_scene else where(motion))) or point[0].W / np.max(leaf)
+        px = np.max(np.abs(motion.e if part.idx else slopes[number])) or point[0].W / np.max(leaf)
         step = float(2.0 ** np.round(np.log2(scales.step_px / px)))
-        for k in range(directions * in_scene):
-            value = random.uniform(-1, 1, leaf.shape)
-            if name == "vertices" and not scales.exact:
-                value = _waves(leaf, random)
-            yield Probe(f"{name} #{k + 1}", where, value.astype(leaf.dtype), step)
-        for index in () if in_scene else np.ndindex(leaf.shape):
-            unit = np.zeros_like(leaf)
-            unit[index] = 1
-            yield Probe(".".join([name, *("xyz"[k] for k in index)]), where, unit, step)
-
-
-def _float_arrays(point: Point) -> Iterator[tuple[int, str, Callable]]:
-    """Yield the arrays of a camera (0) and a scene (1): which of both, name, and how to pick it."""
-    leaves = jax.tree_util.tree_leaves_with_path(eqx.filter(point, eqx.is_inexact_array))
-    for (part, *path), leaf in leaves:
-        names = [key.name for key in path]
-        pick = attrgetter(".".join(names))
-        if leaf.size:
-            yield part.idx, names[-1], lambda x, number=part.idx, pick=pick: pick(x[number])
+        names = [f"{key.name}.{axis}" for axis in "xyz"[: leaf.size]] if leaf.ndim else [key.name]
+        values = np.eye(leaf.size).reshape(-1, *leaf.shape)
+        if part.idx:
+            smooth = key.name == "vertices" and not scales.exact
+            draw = _waves if smooth else lambda leaf, random: random.uniform(-1, 1, leaf.shape)
+            names = [f"{key.name} #{k + 1}" for k in range(directions)]
+            values = [draw(np.asarray(leaf), random) for _ in names]
+        for name, value in zip(names, values, strict=True):
+            direction = [*still]
+            direction[number] = jnp.asarray(value, leaf.dtype)
+            yield Probe(name, tree.unflatten(direction), step)
 
 
 def _motion(camera: Camera, scene: Scene) -> Camera:
