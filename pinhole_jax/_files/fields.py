@@ -99,6 +99,15 @@ class Fields:
                 return array
         raise self.wrong(name, expected, short(value))
 
+    def counts(
+        self, name: str, expected: str = "a list of counts", most: float = np.inf
+    ) -> list[int]:
+        """Return a list of whole numbers, at least 0 and at most this."""
+        numbers = self.array(name, (-1,), expected=expected)
+        if np.any((numbers < 0) | (numbers > most) | (numbers % 1 != 0)):
+            raise self.wrong(name, expected, numbers)
+        return [*map(int, numbers)]
+
     def rotation(self, name: str) -> np.ndarray:
         """Return the rotation (3, 3) of a quaternion (x, y, z, w), of length 1 up to rounding."""
         from scipy.spatial.transform import Rotation

@@ -107,9 +107,9 @@ def read_bytes(path: Any, kind: str, most: int = MOST_BYTES) -> bytes:
     return data
 
 
-def read_text(path: Any, kind: str) -> str:
+def read_text(path: Any, kind: str, most: int = MOST_BYTES) -> str:
     """Return a text file's contents, or raise as `existing_file`, and where it is not UTF-8."""
-    return decode_text(read_bytes(path, kind), path)
+    return decode_text(read_bytes(path, kind, most), path)
 
 
 def decode_text(data: bytes, path: Any, kind: str = "text") -> str:

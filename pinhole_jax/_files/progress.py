@@ -144,13 +144,11 @@ class Ticker:
         self._thread.join()
 
     def _run(self) -> None:
-        shown = False
         while not self._done.wait(RENEWED):
             line = f"{self.elapsed():4.0f} s  {self._text}{self.compiled_words()}"
             if self._live and self.elapsed() > SHORT:
-                shown = True
                 print(f"\r\x1b[K{line}", end="", file=sys.stderr, flush=True)
             elif not self._live and time.perf_counter() - self._told >= OFTEN:
                 self.tell(line)
-        if shown:
+        if self._live and self.elapsed() > SHORT:
             print("\r\x1b[K", end="", file=sys.stderr, flush=True)

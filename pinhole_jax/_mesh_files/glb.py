@@ -49,30 +49,27 @@ def parts(top: Fields, name: str) -> list[Fields]:
     return top.parts(name) if name in top else []
 
 
-def place_nodes(nodes: list[Fields], roots: Iterable[float]) -> dict[int, np.ndarray]:
+def place_nodes(nodes: list[Fields], roots: Iterable[int]) -> dict[int, np.ndarray]:
     """Return the transform (4, 4) to the world of each node below these, in the file's order.
 
     Raises ValueError for a node with two parents: such could stand for 2^depth copies.
     """
     places: dict[int, np.ndarray] = {}
-    waiting = [(int(root), np.eye(4)) for root in roots]
+    waiting = [(root, np.eye(4)) for root in roots]
     while waiting:
         k, above = waiting.pop()
         if k in places:
             raise nodes[k].wrong("children", "nodes with one parent each", f"two of node {k}")
         with np.errstate(over="ignore", invalid="ignore"):  # found where it matters
             places[k] = above @ _local(nodes[k])
-        waiting += [(int(child), places[k]) for child in children(nodes[k], nodes)]
+        waiting += [(child, places[k]) for child in children(nodes[k], nodes)]
     return dict(sorted(places.items()))
 
 
-def children(part: Fields, nodes: list[Fields], name: str = "children") -> list[float]:
+def children(part: Fields, nodes: list[Fields], name: str = "children") -> list[int]:
     """Return the numbers of nodes that a field lists."""
-    expected = f"numbers of nodes below {len(nodes)}"
-    numbers = part.array(name, (-1,), expected=expected).tolist() if name in part else []
-    if not all(0 <= k < len(nodes) and k == int(k) for k in numbers):
-        raise part.wrong(name, expected, numbers)
-    return numbers
+    expected, most = f"numbers of nodes below {len(nodes)}", len(nodes) - 1
+    return part.counts(name, expected, most) if name in part else []
 
 
 def _local(node: Fields) -> np.ndarray:

@@ -74,9 +74,3 @@ def parse_points(lines: list[bytes]) -> np.ndarray:
     if np.any(counts != 3):
         lines = [b" ".join(line.split(None, 3)[:3]) for line in lines]
     return parse_numbers(b"\n".join(lines), float, "vertices", 3 * len(lines)).reshape(-1, 3)
-
-
-def gather_runs(values: np.ndarray, starts: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Return `counts[k]` values from each of `starts[k]` on, one after the other."""
-    first = np.cumsum(counts) - counts
-    return values[np.arange(np.sum(counts)) + np.repeat(starts - first, counts)]

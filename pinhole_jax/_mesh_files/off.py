@@ -6,7 +6,6 @@ import numpy as np
 
 from .numbers import (
     COMMENT,
-    gather_runs,
     parse_numbers,
     parse_points,
     strip_mark,
@@ -54,5 +53,6 @@ def _faces(points: np.ndarray, lines: list[bytes]) -> Polygons:
     if np.any(wrong):
         k = int(np.argmax(wrong))
         raise ValueError(f"face {k + 1}: {counts[k]} corners in a line of {words[k]} numbers")
-    corners = gather_runs(numbers, starts + 1, counts)
+    place = np.arange(numbers.size) - np.repeat(starts, words)  # of a number in its line
+    corners = numbers[(place > 0) & (place <= np.repeat(counts, words))]
     return Polygons(points, to_integers(corners, "faces"), counts)

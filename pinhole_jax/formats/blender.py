@@ -153,8 +153,7 @@ def _camera(fields: Fields, size: Size | None) -> Camera:
     fields.text("type", ("PERSP",), "PERSP")
     W, H = fields.size("resolution_x", "resolution_y", size)
     percentage = fields.positive("resolution_percentage", 100)
-    if percentage != 100:  # Blender cuts the fraction off
-        W, H = (max(1, int(n * percentage / 100)) for n in (W, H))
+    W, H = (max(1, int(n * percentage / 100)) for n in (W, H))  # Blender cuts the fraction off
     tall = fields.positive("pixel_aspect_y", 1) / fields.positive("pixel_aspect_x", 1)
     fit = fields.text("sensor_fit", FITS, "AUTO")
     sensor = ("sensor_height", 24) if fit == "VERTICAL" else ("sensor_width", SENSOR_MM)

@@ -9,6 +9,7 @@ import os
 import re
 import struct
 from collections.abc import Container, Iterator, Mapping, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -246,26 +247,17 @@ def _take_camera(stream: BinaryIO, file: str) -> Record:
 def _take_image(stream: BinaryIO, file: str) -> Record:
     numbers = _take(stream, "<I7dI")
     where = f"{file}, image {numbers[0]}"
-    name = _name(stream, where)
+    name = b"".join(islice(iter(lambda: stream.read(1), b"\0"), MOST_NAME + 1))
+    if len(name) > MOST_NAME:
+        raise ValueError(f"`NAME`: expected at most {MOST_NAME} bytes, got more (in {where})")
     points = 24 * _take(stream, "<Q")[0]
     stream.seek(min(points, MOST_MODEL), os.SEEK_CUR)
-    return (*numbers, name), where
+    return (*numbers, _decoded(name, where, "`NAME`: ")), where
 
 
 def _take(stream: BinaryIO, form: str) -> tuple[Any, ...]:
     """Return the next values; raise struct.error at the end."""
     return struct.unpack(form, stream.read(struct.calcsize(form)))
-
-
-def _name(stream: BinaryIO, where: str) -> str:
-    """Return the text up to the next zero byte."""
-    start = stream.tell()
-    name, end, _ = stream.read(MOST_NAME + 1).partition(b"\0")
-    if not end:
-        _take(stream, "c")
-        raise ValueError(f"`NAME`: expected at most {MOST_NAME} bytes, got more (in {where})")
-    stream.seek(start + len(name) + 1)
-    return _decoded(name, where, "`NAME`: ")
 
 
 def _intrinsics(camera: Camera) -> tuple:

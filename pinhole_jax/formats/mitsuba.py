@@ -188,8 +188,7 @@ def _camera(sensor: ET.Element, size: Size | None, where: str) -> Camera:
     focal = _focal(fields, W, H)
     cx = W * (0.5 - fields.number("principal_point_offset_x", 0)) - film.number("crop_offset_x", 0)
     cy = H * (0.5 - fields.number("principal_point_offset_y", 0)) - film.number("crop_offset_y", 0)
-    W = film.integer("crop_width") if "crop_width" in film else W
-    H = film.integer("crop_height") if "crop_height" in film else H
+    W, H = film.integer("crop_width", 1, W), film.integer("crop_height", 1, H)
     pose = np.eye(4)
     with np.errstate(all="ignore"):  # what overflows is no rotation
         for step in (step for move in moves for step in move):

@@ -100,8 +100,8 @@ def _phi(fields: Fields) -> Any:
     if fields.data.get("phi_degrees") is None:
         return fields.get("phi", "the vertical field of view (rad)")
     phi = float(np.deg2rad(fields.number("phi_degrees")))
-    if "phi" in fields and abs(phi - fields.number("phi")) > SAME * abs(fields.number("phi")):
-        rad = fields.number("phi")
+    rad = fields.number("phi", phi)
+    if abs(phi - rad) > SAME * abs(rad):
         words = f"{np.rad2deg(rad):.6g}, as `phi` says ({rad:.6g} rad)"
         got = f"{np.rad2deg(phi):.6g}; leave out the one that is not meant"
         raise fields.wrong("phi_degrees", words, got)

@@ -169,7 +169,7 @@ def _fit(fields: Fields) -> Fit:
         covariance=covariance,
         rms=_number(rest, "rms"),
         iou=_number(rest, "iou"),
-        steps=_counts(rest, "steps"),
+        steps=tuple(rest.counts("steps")),
         weak=_texts(rest, "weak"),
         modes=tuple(_fit(mode) for mode in rest.parts("modes")),
         history=tuple(_progress(step, dtype) for step in rest.parts("history")),
@@ -188,13 +188,6 @@ def _camera(fields: Fields, dtype: np.dtype) -> Camera:
 def _progress(fields: Fields, dtype: np.dtype) -> Progress:
     counts = (fields.integer(name, least) for name, least in (("W", 1), ("H", 1), ("steps", 0)))
     return Progress(_camera(fields.part("camera"), dtype), *counts)
-
-
-def _counts(fields: Fields, name: str) -> tuple[int, ...]:
-    counts = fields.array(name, (-1,), expected="a list of counts")
-    if np.any(counts % 1) or np.any(counts < 0):
-        raise fields.wrong(name, "a list of counts", counts)
-    return tuple(map(int, counts))
 
 
 def _texts(fields: Fields, name: str) -> tuple[str, ...]:

@@ -2,7 +2,7 @@
 
 import os
 
-from .._files.paths import MOST_BYTES, decode_text, read_bytes, read_json, replace_file
+from .._files.paths import MOST_BYTES, read_json, read_text, replace_file
 
 
 def load_text(path: str | os.PathLike[str], *, most_bytes: int = MOST_BYTES) -> str:
@@ -15,7 +15,7 @@ def load_text(path: str | os.PathLike[str], *, most_bytes: int = MOST_BYTES) -> 
     page = pj.io.load_text("page.html")
     ```
     """
-    return decode_text(read_bytes(path, "a text file", most_bytes), path)
+    return read_text(path, "a text file", most_bytes)
 
 
 def load_json(path: str | os.PathLike[str]) -> object:
