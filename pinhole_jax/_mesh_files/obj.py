@@ -22,20 +22,16 @@ def read_obj(data: bytes) -> Polygons:
     data = strip_mark(data)
     if b"#" in data:
         data = COMMENT.sub(b"", data)
-    if b"\\" in data:
-        data = re.sub(rb"\\[ \t]*(\r\n|\n|\r)", b" ", data)
-    lines = data.splitlines()
-    if b"\n " in data or b"\n\t" in data or data[:1].isspace():
-        lines = [line.strip() for line in lines]
-    _check_statements(lines)
+    data = re.sub(rb"\\[ \t]*(\r\n|\n|\r)", b" ", data)
+    lines = [line.strip() for line in data.splitlines()]
+    for statement in (line.split()[0] for line in lines if line.startswith(OTHER_SHAPES)):
+        if statement in OTHER_SHAPES:
+            raise ValueError(f"the statement {statement.decode()!r}: only polygons are read")
 
     vertices = [line[2:] for line in lines if line.startswith((b"v ", b"v\t"))]
     faces = [line[2:] for line in lines if line.startswith((b"f ", b"f\t"))]
     counts = word_counts(faces)
-    text = b"\n".join(faces)
-    if b"/" in text:
-        text = re.sub(rb"/\S*", b"", text)  # textures and normals
-
+    text = re.sub(rb"/\S*", b"", b"\n".join(faces))  # without textures and normals
     corners = parse_numbers(text, int, "faces", int(np.sum(counts)))
     if np.any(corners == 0):
         raise ValueError("a face with the vertex 0; they are counted from 1")
@@ -50,10 +46,3 @@ def _vertices_before_faces(lines: list[bytes]) -> np.ndarray:
     is_vertex = np.array([line.startswith((b"v ", b"v\t")) for line in lines])
     is_face = np.array([line.startswith((b"f ", b"f\t")) for line in lines])
     return np.cumsum(is_vertex)[is_face]
-
-
-def _check_statements(lines: list[bytes]) -> None:
-    for line in [line for line in lines if line.startswith(OTHER_SHAPES)]:
-        name = line.split()[0]
-        if name in OTHER_SHAPES:
-            raise ValueError(f"the statement {name.decode()!r}: only polygons are read")

@@ -11,10 +11,10 @@ from .polygons import Polygons, cut_strips
 #: What the header calls a type, and NumPy.
 TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
-    "float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2",
-    "int32": "i4", "uint32": "u4", "int64": "i8", "uint64": "u8", "float16": "f2",
-    "float32": "f4", "float64": "f8",
+    "float": "f4", "double": "f8",
 }  # fmt: skip
+SIZED = "int8 uint8 int16 uint16 int32 uint32 int64 uint64 float16 float32 float64"
+TYPES |= {name: np.dtype(name).str[1:] for name in SIZED.split()}
 ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 #: What a list of a face's vertices is called.
 CORNERS = ("vertex_indices", "vertex_index")

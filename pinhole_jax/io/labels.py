@@ -72,19 +72,10 @@ def _counted(numbers: np.ndarray, seen: np.ndarray | None) -> _Counts | None:
             shown = seen[max(part.start, 1) : part.stop + 1, 1:-1][: len(here)]
             here, flat = here[shown], flat[shown]
         for total, some in ((pixels, here), (flat_pixels, here[flat])):
-            values, counts = _unique(some)
+            values, counts = np.unique(some, return_counts=True)
             if len(values) > MOST_VALUES:
                 return None
             total.update(dict(zip(values.tolist(), counts.tolist(), strict=True)))
     order = sorted(pixels)
     counts = (np.array([total[value] for value in order]) for total in (pixels, flat_pixels))
     return _Counts(np.array(order, numbers.dtype), *counts)
-
-
-def _unique(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return `np.unique`'s values and counts; of short integers without sorting them."""
-    if values.dtype not in (np.uint8, np.uint16):
-        return np.unique(values, return_counts=True)
-    counts = np.bincount(values.ravel())
-    there = np.flatnonzero(counts)
-    return there, counts[there]
