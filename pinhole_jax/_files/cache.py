@@ -6,8 +6,10 @@ from pathlib import Path
 import jax
 from jax.experimental.compilation_cache import compilation_cache
 
+from .paths import FilePath
 
-def cache(folder: str | os.PathLike[str] | None = None) -> Path:
+
+def cache(folder: FilePath | None = None) -> Path:
     """Keep compiled programs in a folder, from which later processes read them; return the folder.
 
     The default is `pinhole_jax` in the user's cache folder (`$XDG_CACHE_HOME`, else `~/.cache`):

@@ -9,13 +9,12 @@ positive where the window moves right and up. There are no pixel coordinates: th
 count.
 """
 
-from collections.abc import Mapping
 from typing import Any
 
 from .._camera.camera import Camera
 from .._files.fields import Fields, Size
 from .._files.paths import FilePath
-from .cameras import Cameras, check_cameras, named_cameras, save_json, save_text
+from .cameras import Cameras, NamedCameras, check_cameras, json_cameras, save_json, save_text
 from .pinhole import OPENGL, Pinhole, camera_from_pinhole, pinhole, read_pose, world_from_camera
 
 SCHEMA = "pinhole_jax.blender/1"
@@ -42,10 +41,10 @@ def read_blender(path: FilePath, *, size: Size | None = None) -> Cameras:
     cameras = pj.formats.read_blender("blender.json")
     ```
     """
-    return named_cameras(path, lambda fields: _camera(fields, size))
+    return json_cameras(path, lambda fields: _camera(fields, size))
 
 
-def write_blender(path: FilePath, cameras: Mapping[str, Camera]) -> None:
+def write_blender(path: FilePath, cameras: NamedCameras) -> None:
     """Write the settings of Blender's cameras as JSON: see `to_blender`.
 
     ```python
@@ -86,7 +85,7 @@ def to_blender(camera: Camera) -> dict[str, object]:
     }
 
 
-def to_blender_script(cameras: Mapping[str, Camera]) -> str:
+def to_blender_script(cameras: NamedCameras) -> str:
     """Return a Python script that creates these cameras when run in Blender.
 
     In Blender's text editor, or as `blender --python FILE`. The last camera becomes the scene's.
@@ -116,7 +115,7 @@ def to_blender_script(cameras: Mapping[str, Camera]) -> str:
     return SCRIPT.format(render=render, cameras=poses)
 
 
-def write_blender_script(path: FilePath, cameras: Mapping[str, Camera]) -> None:
+def write_blender_script(path: FilePath, cameras: NamedCameras) -> None:
     """Write the script of `to_blender_script`.
 
     ```python

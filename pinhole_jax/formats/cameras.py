@@ -11,11 +11,13 @@ from .._files.paths import FilePath, replace_file
 
 #: Cameras by name.
 Cameras = dict[str, Camera]
+#: What is written: cameras by name in any mapping.
+NamedCameras = Mapping[str, Camera]
 #: What readers here expect a file to be.
 KIND = "a camera file"
 
 
-def named_cameras(path: FilePath, read: Callable[[Fields], Camera]) -> Cameras:
+def json_cameras(path: FilePath, read: Callable[[Fields], Camera]) -> Cameras:
     """Return the cameras of a JSON file: of its field `cameras` by name, or the file's one."""
     top = read_fields(path, KIND)
     if "cameras" not in top:

@@ -8,7 +8,7 @@ Focal lengths in px, no field of view. Pixel centres lie at halves: the image's 
 import os
 import re
 import struct
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -18,7 +18,7 @@ from .._camera.distortion import BrownConrady, Distortion, Fisheye, Rational
 from .._camera.poses import inverse, pose_of, rigid
 from .._files.fields import Fields, number_or_text, short
 from .._files.paths import FilePath, open_file, replace_file
-from .cameras import KIND, Cameras, by_name, check_cameras
+from .cameras import KIND, Cameras, NamedCameras, by_name, check_cameras
 from .pinhole import OPENCV, Pinhole, camera_from_pinhole, distortion_model, pinhole
 
 #: COLMAP's models by name: their numbers, and parameters; what is not f, fx, fy, cx, cy is
@@ -70,7 +70,7 @@ def read_colmap(folder: FilePath) -> Cameras:
     raise FileNotFoundError(f"`folder`: {words}, got {str(folder)!r}")
 
 
-def write_colmap(folder: FilePath, cameras: Mapping[str, Camera], *, binary: bool = False) -> None:
+def write_colmap(folder: FilePath, cameras: NamedCameras, *, binary: bool = False) -> None:
     """Write a COLMAP model without points: cameras, images, points3D.
 
     Cameras are PINHOLE, with distortion OPENCV (FULL_OPENCV if k3 is not zero) or OPENCV_FISHEYE.

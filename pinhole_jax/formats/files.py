@@ -1,6 +1,6 @@
 """One door for all files: `read` and `write` guess the format by name and content."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,7 +16,7 @@ from .._files.paths import (
     read_text,
 )
 from .blender import SCHEMA as BLENDER_SCHEMA, read_blender, write_blender, write_blender_script
-from .cameras import KIND, Cameras, chosen, parse_xml
+from .cameras import KIND, Cameras, NamedCameras, chosen, parse_xml
 from .colmap import read_colmap, write_colmap
 from .gltf import read_gltf, write_gltf
 from .mitsuba import read_mitsuba, write_mitsuba
@@ -32,7 +32,7 @@ class Format(NamedTuple):
     asks for it; `sized`: reading may need the image's size."""
 
     read: Callable[..., Cameras] | None
-    write: Callable[[Any, Mapping[str, Camera]], None]
+    write: Callable[[Any, NamedCameras], None]
     endings: tuple[str, ...] = ()
     word: str | None = None
     sized: bool = True
@@ -112,7 +112,7 @@ def read_one(path: FilePath, *, size: Size | None = None) -> Camera:
     return chosen(cameras, name, repr(str(place)))
 
 
-def write(path: FilePath, cameras: Mapping[str, Camera], format: str | None = None) -> None:
+def write(path: FilePath, cameras: NamedCameras, format: str | None = None) -> None:
     """Write cameras to a file (COLMAP: a folder), whole or not at all.
 
     `format` is one of `FORMATS`; None guesses it by the path. A file ending in .yaml is OpenCV,

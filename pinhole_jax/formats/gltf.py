@@ -10,7 +10,7 @@ angles.)
 """
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from .._camera.camera import Camera
 from .._files.fields import Fields, Size
 from .._files.paths import FilePath, read_bytes, replace_file
 from .._mesh_files.glb import MOST_BYTES, children, pack_glb, parse_gltf, parts, place_nodes
-from .cameras import KIND, Cameras, by_name, check_cameras
+from .cameras import KIND, Cameras, NamedCameras, by_name, check_cameras
 from .pinhole import (
     OPENGL,
     Pinhole,
@@ -52,7 +52,7 @@ def read_gltf(path: FilePath, *, size: Size | None = None) -> Cameras:
     return cameras
 
 
-def write_gltf(path: FilePath, cameras: Mapping[str, Camera]) -> None:
+def write_gltf(path: FilePath, cameras: NamedCameras) -> None:
     """Write cameras as glTF, .gltf or .glb by the file's ending; their sizes go to `extras`.
 
     Raises ValueError for a camera that glTF cannot say: a principal point off the image's centre,

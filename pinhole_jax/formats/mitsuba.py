@@ -10,7 +10,7 @@ pixel centres at halves.
 import math
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any
 from xml.sax.saxutils import quoteattr
 
@@ -20,7 +20,7 @@ from .._camera.camera import Camera
 from .._camera.poses import Pose, pose_of
 from .._files.fields import Fields, Size, number_or_text, short
 from .._files.paths import FilePath, read_text
-from .cameras import KIND, Cameras, by_name, check_cameras, parse_xml, save_text
+from .cameras import KIND, Cameras, NamedCameras, by_name, check_cameras, parse_xml, save_text
 from .pinhole import (
     LEFT_UP_FORWARD,
     Pinhole,
@@ -63,7 +63,7 @@ def read_mitsuba(path: FilePath, *, size: Size | None = None) -> Cameras:
     return by_name(_cameras(root, size, repr(str(path))), repr(str(path)))
 
 
-def write_mitsuba(path: FilePath, cameras: Mapping[str, Camera]) -> None:
+def write_mitsuba(path: FilePath, cameras: NamedCameras) -> None:
     """Write perspective sensors, `fov_axis` y, as a Mitsuba 3 scene of nothing else.
 
     Raises ValueError for a camera whose pixels are not square: Mitsuba has no others. Also for
@@ -180,7 +180,7 @@ def _camera(sensor: ET.Element, size: Size | None, where: str) -> Camera:
     films = sensor.findall("film")
     if len(moves) > 1 or len(films) > 1:
         raise fields.wrong("to_world", "one transform and one film", "two")
-    own: Mapping[str, Any] = dict(zip(FILM, size or (), strict=False))
+    own: Any = dict(zip(FILM, size or (), strict=False))
     if films:
         own = _properties(films[0], where).data
     film = Fields({**FILM, **own}, f"{where}, film")

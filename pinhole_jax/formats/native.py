@@ -14,7 +14,7 @@ from .._camera.lens import Lens
 from .._files.fields import Fields, read_fields, short
 from .._files.paths import FilePath, replace_file
 from .._numerics.arrays import Input
-from .cameras import KIND, Cameras, check_cameras, named_cameras, save_json
+from .cameras import KIND, Cameras, NamedCameras, check_cameras, json_cameras, save_json
 
 CAMERA_SCHEMA = "pinhole_jax.camera/1"
 CAMERAS_SCHEMA = "pinhole_jax.cameras/1"
@@ -197,10 +197,10 @@ def read_json(path: FilePath) -> Cameras:
     cameras = pj.formats.read_json("left.json")
     ```
     """
-    return named_cameras(path, camera_from_fields)
+    return json_cameras(path, camera_from_fields)
 
 
-def write_json(path: FilePath, cameras: Mapping[str, Camera]) -> None:
+def write_json(path: FilePath, cameras: NamedCameras) -> None:
     """Write the project's own JSON: one camera as `io.save_camera` does, many by name.
 
     ```python

@@ -5,13 +5,11 @@ is the HORIZONTAL field of view in rad, `camera_angle_y` the vertical; `fl_x`, `
 before them. `cx`, `cy` are px from the image's top-left corner, y down; pixel centres at halves.
 """
 
-from collections.abc import Mapping
-
 from .._camera.camera import Camera
 from .._camera.distortion import BrownConrady, Fisheye, Rational
 from .._files.fields import Fields, Size, read_fields
 from .._files.paths import FilePath
-from .cameras import KIND, Cameras, by_name, check_cameras, save_json
+from .cameras import KIND, Cameras, NamedCameras, by_name, check_cameras, save_json
 from .pinhole import (
     COEFFICIENTS,
     OPENGL,
@@ -58,7 +56,7 @@ def read_nerf(path: FilePath, *, size: Size | None = None) -> Cameras:
     return by_name(cameras, top.where)
 
 
-def write_nerf(path: FilePath, cameras: Mapping[str, Camera]) -> None:
+def write_nerf(path: FilePath, cameras: NamedCameras) -> None:
     """Write a transforms.json that nerfstudio, instant-ngp and NeRF's own readers understand.
 
     Intrinsics that all cameras share stand at the top, otherwise with each frame.

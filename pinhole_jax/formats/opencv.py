@@ -12,14 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from .._camera.camera import Camera
 from .._camera.distortion import BrownConrady, Distortion, Fisheye, Rational
 from .._camera.matrices import Centres, half_pixel
 from .._camera.poses import Pose, inverse, rigid
 from .._files.fields import Fields, Size, as_numbers, short
 from .._files.paths import FilePath
 from .._numerics.arrays import Input
-from .cameras import Cameras, by_name, check_cameras, save_text
+from .cameras import Cameras, NamedCameras, by_name, check_cameras, save_text
 from .pinhole import (
     OPENCV,
     Pinhole,
@@ -146,7 +145,7 @@ def _intrinsics(
 
 def write_opencv(
     path: FilePath,
-    cameras: Mapping[str, Camera],
+    cameras: NamedCameras,
     *,
     pixel_centres: Input[Centres, "of K"] = "integer",
 ) -> None:
@@ -210,7 +209,7 @@ def _known(file: Fields) -> Fields:
             raise file.wrong(name, "one such field", f"{str(key)!r} too")
         else:
             value = storage.matrix_array(name, value, file.where)
-            flat = name != "extrinsic_parameters" and 1 in np.shape(as_numbers(value))
+            flat = name != "extrinsic_parameters" and 1 in getattr(as_numbers(value), "shape", ())
             known[name] = np.ravel(value) if flat else value
     return Fields(known, file.where, written)
 

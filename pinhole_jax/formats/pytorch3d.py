@@ -6,8 +6,6 @@ from the image's top-left corner, y down, pixel centres at halves. In NDC the im
 spans [-1, 1], x to the left, y up, and lengths are halves of that side. `image_size` is (H, W).
 """
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from .._camera.camera import Camera
@@ -15,7 +13,7 @@ from .._camera.poses import inverse
 from .._files.fields import Fields, Size, as_numbers, read_fields
 from .._files.paths import FilePath
 from .._numerics.arrays import ArrayLike, Input
-from .cameras import KIND, Cameras, by_name, check_cameras, save_json
+from .cameras import KIND, Cameras, NamedCameras, by_name, check_cameras, save_json
 from .pinhole import (
     LEFT_UP_FORWARD,
     Pinhole,
@@ -140,7 +138,7 @@ def read_pytorch3d(path: FilePath, *, size: Size | None = None) -> Cameras:
     return by_name(zip(map(str, names), cameras, strict=True), top.where)
 
 
-def write_pytorch3d(path: FilePath, cameras: Mapping[str, Camera]) -> None:
+def write_pytorch3d(path: FilePath, cameras: NamedCameras) -> None:
     """Write PyTorch3D's arrays of all cameras, screen space (px), as JSON.
 
     ```python

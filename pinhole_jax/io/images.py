@@ -1,20 +1,19 @@
 """Pictures: read upright, written as 8 bits, and what their EXIF data say of the camera."""
 
-import os
 from io import BytesIO
 from typing import Any
 
 import numpy as np
 
 from .._files.exif import FieldOfView, field_of_view
-from .._files.paths import as_path, reason, replace_file
+from .._files.paths import FilePath, as_path, reason, replace_file
 from .._files.pictures import by_bands, eight_bits, from_picture, three_channels
 
 #: The most pixels of a picture (Pillow's limit, too: what is written can be read).
 MOST_PIXELS = 178_956_970
 
 
-def load_image(path: str | os.PathLike[str], *, rgb: bool = False) -> np.ndarray:
+def load_image(path: FilePath, *, rgb: bool = False) -> np.ndarray:
     """Return an image file as uint8: (H, W) if it is grey, else (H, W, 3) or (H, W, 4). With `rgb`
     it is always (H, W, 3): grey three times, and no transparency.
 
@@ -41,7 +40,7 @@ def load_image(path: str | os.PathLike[str], *, rgb: bool = False) -> np.ndarray
     return three_channels(image) if rgb else image
 
 
-def photo_fov(path: str | os.PathLike[str]) -> FieldOfView | None:
+def photo_fov(path: FilePath) -> FieldOfView | None:
     """Return the vertical field of view `phi` (rad) that a photo's EXIF data tell, and in `words`
     how; None where they do not. It is a first guess, as good as some per cent.
 
@@ -54,7 +53,7 @@ def photo_fov(path: str | os.PathLike[str]) -> FieldOfView | None:
     return from_picture(path, "a readable image", field_of_view)
 
 
-def save_image(path: str | os.PathLike[str], image: np.ndarray) -> None:
+def save_image(path: FilePath, image: np.ndarray) -> None:
     """Write a uint8 image, or bool or floats in [0, 1] as 8 bits, by the path's ending.
 
     The shape is (H, W), (H, W, 3), or (H, W, 4) with transparency. Floats beyond [0, 1] are

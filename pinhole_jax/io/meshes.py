@@ -1,12 +1,11 @@
 """`load_mesh`: the triangles of a mesh file."""
 
-import os
 import warnings
 from collections.abc import Callable
 
 import numpy as np
 
-from .._files.paths import existing_file, reason
+from .._files.paths import FilePath, existing_file, reason
 from .._mesh_files import MESH_ENDINGS, check_corners, read_polygons, triangulate
 from .._scene.scene import Mesh, rounding_warning
 from .._scene.topology import by_place
@@ -16,7 +15,7 @@ SOLIDS = (".step", ".stp", ".iges", ".igs", ".brep", ".sldprt", ".f3d", ".fcstd"
           ".fbx", ".3ds", ".usd", ".usdz")  # fmt: skip
 
 
-def load_mesh(path: str | os.PathLike[str], say: Callable[[str], object] | None = None) -> Mesh:
+def load_mesh(path: FilePath, say: Callable[[str], object] | None = None) -> Mesh:
     """Return the triangles of a mesh file (dae, glb, gltf, obj, off, ply, stl), as one mesh.
 
     Polygons of any shape in any plane are cut into triangles that run the way they do. Vertices at

@@ -1,11 +1,9 @@
 """Text and JSON files: what is read is bounded, what is written is whole."""
 
-import os
-
-from .._files.paths import MOST_BYTES, read_json, read_text, replace_file
+from .._files.paths import MOST_BYTES, FilePath, read_json, read_text, replace_file
 
 
-def load_text(path: str | os.PathLike[str], *, most_bytes: int = MOST_BYTES) -> str:
+def load_text(path: FilePath, *, most_bytes: int = MOST_BYTES) -> str:
     """Return a text file's contents (UTF-8).
 
     Raises FileNotFoundError, or ValueError for a folder, a pipe or a device, for more than
@@ -18,7 +16,7 @@ def load_text(path: str | os.PathLike[str], *, most_bytes: int = MOST_BYTES) -> 
     return read_text(path, "a text file", most_bytes)
 
 
-def load_json(path: str | os.PathLike[str]) -> object:
+def load_json(path: FilePath) -> object:
     """Return the contents of a JSON file.
 
     Raises as `load_text`, and ValueError for text that is not JSON, is nested more than 64 levels
@@ -31,7 +29,7 @@ def load_json(path: str | os.PathLike[str]) -> object:
     return read_json(path, "a JSON file")
 
 
-def save_text(path: str | os.PathLike[str], text: str) -> None:
+def save_text(path: FilePath, text: str) -> None:
     """Write text to a file, as UTF-8: all of it, or nothing.
 
     Raises ValueError for a folder or a device, and for what cannot be written.

@@ -5,13 +5,12 @@ faces share no vertices every edge would be a border.
 """
 
 import io
-import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from .._files.paths import existing_file, read_bytes, reason
+from .._files.paths import FilePath, existing_file, read_bytes, reason
 from .._scene.scene import Mesh
 from ..io.meshes import load_mesh
 from .packages import check_packages, mesh_path
@@ -20,9 +19,9 @@ from .urdf import plain_urdf
 
 
 def load_urdf(
-    path: str | os.PathLike[str],
+    path: FilePath,
     leave_out: Sequence[str] = (),
-    packages: Mapping[str, str | os.PathLike[str]] | None = None,
+    packages: Mapping[str, FilePath] | None = None,
 ) -> Robot:
     """Return the robot of a URDF file: the visual shapes of its links, their meshes welded.
 

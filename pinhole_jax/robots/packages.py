@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
-from .._files.paths import read_text
+from .._files.paths import FilePath, read_text
 
-Folders = Mapping[str, str | os.PathLike[str]]
+Folders = Mapping[str, FilePath]
 
 
 def check_packages(packages: Any) -> Folders:
