@@ -113,7 +113,7 @@ test_bad_input_is_refused = refuses(
     formats.detect,
     {"scene": SCENE, "mask": MASK, "pose": POSE, "K": K},
     {
-        r"`mask`: expected shape \(H, W\), got \(56, 72, 1\)": {"mask": MASK[..., None]},
+        r"`mask`: expected shape \(H, W\), got shape \(56, 72, 1\)": {"mask": MASK[..., None]},
         "`mask`: expected one that covers some pixels, got none": {"mask": np.zeros((H, W))},
         r"`pose`: expected finite numbers of shape \(3, 4\) or \(4, 4\)": {"pose": np.eye(3)},
         "`pose`: .* its last row 0 0 0 1, got": {"pose": 2 * POSE},

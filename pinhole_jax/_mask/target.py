@@ -47,19 +47,20 @@ def as_coverage(image: np.ndarray) -> np.ndarray:
     return image / 255.0 if image.dtype == np.uint8 else np.asarray(image, np.float64)
 
 
-def check_image(name: str, image: Any, W: int, H: int) -> np.ndarray:
-    """Return an image (H, W) of type bool, uint8 or float, or raise ValueError."""
-    return _with_range(name, image, W, H)[0]
+def check_image(name: str, image: Any, *size: int) -> np.ndarray:
+    """Return an image (H, W) of type bool, uint8 or float, of this `size` (W, H) if it is given; or
+    raise ValueError."""
+    return _with_range(name, image, *size)[0]
 
 
-def _with_range(name: str, image: Any, W: int, H: int) -> tuple[np.ndarray, tuple[Any, Any]]:
+def _with_range(name: str, image: Any, *size: int) -> tuple[np.ndarray, tuple[Any, Any]]:
     """Return the checked image with its least and largest value, which callers need, too."""
     array = np.asarray(image)
-    expected = f"shape (H, W) = ({H}, {W})"
+    expected = f"shape (H, W) = {size[::-1]}" if size else "shape (H, W)"
     if array.ndim != 2:
         hint = "; choose a channel or average them" if array.ndim == 3 else ""
         raise ValueError(f"`{name}`: expected {expected}, got shape {array.shape}{hint}")
-    if array.shape != (H, W):
+    if size and array.shape != size[::-1]:
         raise ValueError(f"`{name}`: expected the camera's {expected}, got {array.shape}")
     if array.dtype.kind not in "biuf":
         raise ValueError(f"`{name}`: expected dtype bool, uint8 or float, got {array.dtype}")

@@ -110,9 +110,7 @@ def detect(
     print(detection)
     ```
     """
-    if np.ndim(mask) != 2:
-        raise ValueError(f"`mask`: expected shape (H, W), got {np.shape(mask)}")
-    target = check_image("mask", mask, np.shape(mask)[1], np.shape(mask)[0])
+    target = check_image("mask", mask)
     if not 0 < target.sum() < target.size:
         raise ValueError("`mask`: expected one that covers some pixels, got none or all")
     H, W = target.shape

@@ -17,5 +17,4 @@ def as_coverage(mask: Input[ArrayLike, "H W"]) -> Float[np.ndarray, "H W"]:
     coverage = pj.io.as_coverage(np.uint8(255 * mask))  # the masks of `load_mask`, too
     ```
     """
-    H, W = (*np.shape(mask), 0, 0)[:2]
-    return unclipped(check_image("mask", mask, W, H)).clip(0, 1)
+    return unclipped(check_image("mask", mask)).clip(0, 1)

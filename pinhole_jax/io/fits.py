@@ -29,6 +29,8 @@ FIT_SCHEMA = "pinhole_jax.fit/1"
 #: Fields of a fit that a file has under their names.
 AS_THEY_ARE = ("status", "iou", "rms", "names", "covariance", "independent_covariance",
                "mask_error", "unbelieved", "weak")  # fmt: skip
+#: What JSON has no number for; what is none at all is null.
+INFINITE = {np.inf: "Infinity", -np.inf: "-Infinity"}
 #: What a file says of its covariances.
 CAMERA_FRAME = (
     "small turns (rad) of the camera about its own axes right, up, forward (rotation_b1, _b2, _v);"
@@ -148,9 +150,7 @@ def _plain(value: Any) -> Any:
         return value._asdict()
     if np.ndim(value):
         return [_plain(part) for part in value]
-    if np.isnan(value):
-        return None
-    return float(value) if np.isfinite(value) else "Infinity" if value > 0 else "-Infinity"
+    return float(value) if np.isfinite(value) else INFINITE.get(float(value))
 
 
 def _fit(fields: Fields) -> Fit:
@@ -160,13 +160,12 @@ def _fit(fields: Fields) -> Fit:
     dtype = np.dtype(rest.text("dtype", ("float32", "float64")))
     names = _texts(rest, "names")
     square = (len(names), len(names))
-    covariance = rest.array("covariance", square, finite=False)
     error = rest.get("mask_error", "`px` and `over_px`, or null") and rest.part("mask_error")
     return Fit(
         camera=_camera(fields, dtype),
         status=status,
         names=names,
-        covariance=covariance,
+        covariance=rest.array("covariance", square, finite=False),
         rms=_number(rest, "rms"),
         iou=_number(rest, "iou"),
         steps=tuple(rest.counts("steps")),
@@ -186,8 +185,8 @@ def _camera(fields: Fields, dtype: np.dtype) -> Camera:
 
 
 def _progress(fields: Fields, dtype: np.dtype) -> Progress:
-    counts = (fields.integer(name, least) for name, least in (("W", 1), ("H", 1), ("steps", 0)))
-    return Progress(_camera(fields.part("camera"), dtype), *counts)
+    camera = _camera(fields.part("camera"), dtype)
+    return Progress(camera, fields.integer("W"), fields.integer("H"), fields.integer("steps", 0))
 
 
 def _texts(fields: Fields, name: str) -> tuple[str, ...]:

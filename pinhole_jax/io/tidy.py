@@ -46,8 +46,7 @@ def tidy_mask(mask: Input[ArrayLike, "H W"], speck: float = SPECK) -> TidyMask:
     """
     if not 0 <= speck < 1:
         raise ValueError(f"`speck`: expected a share of the object, 0 <= speck < 1, got {speck}")
-    H, W = np.shape(mask) if np.ndim(mask) == 2 else (0, 0)
-    array = check_image("mask", mask, W, H)
+    array = check_image("mask", mask)
     inside = as_coverage(array) >= 0.5
     if np.all(inside) or not np.any(inside):
         return TidyMask(array, ("the mask covers " + ("all" if np.any(inside) else "nothing"),))
