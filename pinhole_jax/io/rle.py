@@ -60,7 +60,7 @@ def _counts_of_text(text: str) -> list[int]:
     number, shift = 0, 0
     for character in text:
         bits = ord(character) - 48
-        if not 0 <= bits < 64:
+        if not 0 <= bits < 64 or shift > 60:  # (longer numbers are of no picture)
             raise ValueError(f"`rle`: expected pycocotools' text, got {character!r} in it")
         number |= (bits & 31) << shift
         shift += 5
