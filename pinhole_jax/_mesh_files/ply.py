@@ -24,8 +24,8 @@ class Property(NamedTuple):
     """A column: its name, its type, and if it holds lists the type of their lengths."""
 
     name: str
-    kind: str
-    length: str | None
+    kind: np.dtype
+    length: np.dtype | None
 
 
 class Element(NamedTuple):
@@ -55,7 +55,7 @@ def read_ply(data: bytes) -> Polygons:
 
     end, tables = 0, {}
     for element in elements:
-        tables[element.name], end = _table(element, body, end, order)
+        tables[element.name], end = _table(element, body, end)
     if end != len(body):
         raise ValueError(f"expected {end} bytes of rows as its header says, got {len(body)}")
 
@@ -66,7 +66,7 @@ def read_ply(data: bytes) -> Polygons:
     return Polygons(points, corners, np.concatenate([faces.counts, np.full(len(triangles), 3)]))
 
 
-def _header(data: bytes) -> tuple[list[Element], str, bytes]:
+def _header(data: bytes) -> tuple[list[Element], str | None, bytes]:
     """Return the tables that follow, their byte order, and their bytes."""
     data = strip_mark(data)
     end = re.match(rb"ply[ \t]*(\r\n|\n|\r)", data)
@@ -92,22 +92,22 @@ def _header(data: bytes) -> tuple[list[Element], str, bytes]:
                 pass
             case _:
                 raise ValueError(f"the line {line[:60]!r} in its header")
-    if order is None:
-        raise ValueError("no format in its header")
     names = [element.name for element in elements]
     if len({*names}) < len(names):
         raise ValueError(f"an element twice in its header: {sorted(names)}")
     return elements, order, data[found.end() :]
 
 
-def _type(name: str, order: str | None) -> str:
-    """Return NumPy's name of a type; text is read as doubles, whatever the header says."""
+def _type(name: str, order: str | None) -> np.dtype:
+    """Return NumPy's type; text is read as doubles, whatever the header says."""
+    if order is None:
+        raise ValueError("no format in its header, or behind the tables")
     if name not in TYPES:
         raise ValueError(f"the type {name!r} in its header")
-    return "f8" if order == "=" else TYPES[name]
+    return np.dtype("f8" if order == "=" else order + TYPES[name])
 
 
-def _table(element: Element, body: bytes, start: int, order: str) -> tuple[dict[str, Lists], int]:
+def _table(element: Element, body: bytes, start: int) -> tuple[dict[str, Lists], int]:
     """Return the columns of a table that begins at byte `start`, and the byte at its end.
 
     Rows whose lists are as long as those of the current row are read at once: a run, looked for in
@@ -116,7 +116,7 @@ def _table(element: Element, body: bytes, start: int, order: str) -> tuple[dict[
     _, left, properties = element
     runs, run = [], left
     while left and properties:
-        row = _row(element, body, start, order)
+        row = _row(element, body, start)
         count = min(left, 2 * run, (len(body) - start) // row.itemsize)
         if count == 0:
             raise _cut_short(element)
@@ -136,22 +136,21 @@ def _table(element: Element, body: bytes, start: int, order: str) -> tuple[dict[
     return columns, start
 
 
-def _row(element: Element, body: bytes, start: int, order: str) -> np.dtype:
+def _row(element: Element, body: bytes, start: int) -> np.dtype:
     """Return the type of the row at a byte: lists are as long as they are there."""
     fields: list[Any] = []
     for p in element.properties:
         length = 1
         if p.length:
-            size = int(p.length[1])
-            if start + size > len(body):
+            if start + p.length.itemsize > len(body):
                 raise _cut_short(element)
-            given = np.frombuffer(body, order + p.length, 1, start)[0]
+            given = np.frombuffer(body, p.length, 1, start)[0]
             if not (given >= 0 and float(given).is_integer()):
                 raise ValueError(f"a list of {given} values in {element.name!r}")
-            fields.append((f"{p.name} length", order + p.length))
-            length, start = int(given), start + size
-        fields.append((p.name, order + p.kind, (length,)))
-        start += length * int(p.kind[1])
+            fields.append((f"{p.name} length", p.length))
+            length, start = int(given), start + p.length.itemsize
+        fields.append((p.name, p.kind, (length,)))
+        start += length * p.kind.itemsize
     return np.dtype(fields)
 
 
