@@ -159,7 +159,7 @@ def quantised(view: View) -> np.ndarray:
     phase = np.exp(2j * np.pi * np.asarray(view.pixels.coverage, float)[order])[:, None]
     parts = 6 / (np.pi * np.arange(1, HARMONICS + 1)) ** 2
     sums = [np.add.reduceat(rows * phase**k, begins) for k in range(1, HARMONICS + 1)]
-    alike = sum(part * (x.conj().T @ x).real for part, x in zip(parts, sums, strict=True))
+    alike = sum(part * np.real(x.conj().T @ x) for part, x in zip(parts, sums, strict=True))
     return alike + (BENT + 1 - parts.sum()) * rows.T @ rows
 
 
