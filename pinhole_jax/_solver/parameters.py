@@ -108,7 +108,10 @@ def _film_pixel(scale: Scale) -> Array:
 
 AXES = ("b1", "b2", "v")
 TURNS = tuple(Component(f"turn_{b}", "rotation", _far_pixel, is_turn=True) for b in AXES)
-SPINS = tuple(Component(f"spin_{b}", "the camera's turn", _pixel, is_turn=True) for b in AXES)
+SPINS = tuple(
+    Component(f"spin_{b}", "the camera's turn", size, is_turn=True)
+    for b, size in zip(AXES, (_pixel, _pixel, _far_pixel), strict=True)
+)
 PLACE = (
     *(Component(f"shift_{b}", "the sideways shift", _pixel) for b in AXES[:2]),
     Component("log_distance", "the distance", _far_pixel),
