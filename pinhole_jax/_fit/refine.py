@@ -31,15 +31,16 @@ STEPS, EARLY, STILL = 16, 2, 0.1
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A camera that may be right: what was `found` on the pixels that count, the `whole` view, and
-    the account of the mask's edge. `near` and `wide` solve on the pixels that count and on more of
-    them. `covariance` (n, n) is by moves: the likelihood's, if the mask is not surely computed."""
+    """A camera that may be right: what was `found` on the pixels that count, the `whole` view, the
+    account of the mask's edge, and how that errs where it is believed. `near` solves on the pixels
+    that count. `covariance` (n, n) is by moves: the likelihood's, if the mask is not surely
+    computed."""
 
     found: Solution
     whole: View
     account: Account | None
     near: Solver
-    wide: Solver
+    errors: OutlineErrors | None
     covariance: np.ndarray | None = None
 
     @property
@@ -50,11 +51,6 @@ class Candidate:
     def is_explained(self) -> bool:
         """Whether nearly all of the camera's outline has an edge beside it, or is hidden."""
         return self.account is not None and self.account.missing < RULES.little
-
-    @property
-    def errors(self) -> OutlineErrors | None:
-        """How the mask's outline errs where it is believed."""
-        return mask_errors(self.wide, self.found.view)
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,27 +127,29 @@ class Refiner:
             near, before = self._near(1.0, said), near
             if not all(map(np.array_equal, near.weights, before.weights)):
                 found, said = self._least_squares(near, found)  # (Other pixels are believed.)
-        some = said is not None and np.any(said.gross)
+        some = said is not None and bool(np.any(said.gross))
         wide = self._near(RULES.times, said) if some else self.solver
-        errors = mask_errors(wide, found.view)
+        errors = mask_errors(wide, found.view, not some)
         if not (said is None or errors is None or self.plainly or is_computed(errors)):
             if self.solver.kind.hard and not said.is_drawn:
-                found, said = self._perhaps_drawn(found, near, errors)
+                likely = 0.0 if some else errors.computed  # (by all of the edge, or not at all)
+                found, said = self._perhaps_drawn(found, near, likely, is_drawn(errors))
+                errors = mask_errors(wide, found.view, not some)
             move = said.errors.move
             covariance = said.errors.covariance + np.outer(move, move)
         whole = self.solver.look(found.camera, self.solver.finest)
-        return Candidate(found, whole, said, near, wide, covariance)
+        return Candidate(found, whole, said, near, errors, covariance)
 
     def _perhaps_drawn(
-        self, found: Solution, near: Solver, errors: OutlineErrors
+        self, found: Solution, near: Solver, computed: float, surely: bool
     ) -> tuple[Solution, Account]:
-        """A camera, and its account if the mask may be drawn though its edge does not show it. If
-        it is so surely, by its pixels: the end of generalised least squares, where these come to
-        rest."""
-        drawn = replace(self, likelihood=self.likelihood.knowing(errors.computed))
+        """A camera, and its account if the mask may be drawn though its edge does not show it: so
+        likely it is `computed`. If it is drawn `surely`, by its pixels: the end of generalised
+        least squares, where these come to rest."""
+        drawn = replace(self, likelihood=self.likelihood.knowing(computed))
         said = drawn.account(found.camera)
         assert said is not None
-        likelier = drawn._likelier(found, said, -np.inf, []) if is_drawn(errors) else None
+        likelier = drawn._likelier(found, said, -np.inf, []) if surely else None
         if likelier is None or not likelier[0].ended:
             return found, said
         ended, said = likelier

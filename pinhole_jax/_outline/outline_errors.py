@@ -70,18 +70,24 @@ def is_computed(errors: OutlineErrors | None) -> bool:
 
 
 def outline_errors(
-    view: View, target: np.ndarray, weights: Weights, quantisation: float, hard: bool
+    view: View,
+    target: np.ndarray,
+    weights: Weights,
+    quantisation: float,
+    hard: bool,
+    believed: bool = True,
 ) -> OutlineErrors | None:
     """The errors of the mask's outline, None if too little of an outline is seen.
 
     `target` and `weights` are (H, W), `quantisation` is the mean square residual that quantisation
-    leaves in an outline pixel of weight 1; a mask is `hard` whose pixels are 0 or 1.
+    leaves in an outline pixel of weight 1; a mask is `hard` whose pixels are 0 or 1. Unless all of
+    it is `believed`, pixels say less surely that it is computed.
     """
     stretches = stretches_of(view, target, weights)
     if stretches is None or len(stretches.offset) < 2 * stretches.by_move.shape[1] + 4:
         return None
     odds = _odds_of_computed(stretches.beyond, stretches.pixels) if hard else 0.0
-    return _weighed(stretches, quantisation, odds)
+    return _weighed(stretches, quantisation, odds if believed else min(odds, RULES.partly))
 
 
 def _odds_of_computed(beyond: int, pixels: int) -> float:

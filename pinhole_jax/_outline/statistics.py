@@ -46,9 +46,9 @@ def quantisation(variance: float, weight: float) -> float:
     return float(np.clip(variance / weight, LEAST_VARIANCE, ONE_BIT))
 
 
-def mask_errors(solver: Solver, view: View) -> OutlineErrors | None:
-    """The errors of the mask's outline, as a view shows them; None for a mask that is computed and
-    explained, and where too little is seen."""
+def mask_errors(solver: Solver, view: View, believed: bool = True) -> OutlineErrors | None:
+    """The errors of the mask's outline, as a view shows them, if all of it is `believed`; None for
+    a mask that is computed and explained, and where too little is seen."""
     kind, mask = solver.kind, (solver.target, solver.weights)
     if kind.exact and kind.explains(view.touched_misfit, False):
         return None
@@ -57,7 +57,7 @@ def mask_errors(solver: Solver, view: View) -> OutlineErrors | None:
         weight = np.asarray(view.pixels.weight)
         scale = float(np.median(weight[weight > 0])) if np.any(weight > 0) else 1.0
         noise = quantisation(max(kind.variance, view.touched_misfit), scale)
-        found = outline_errors(view, *mask, noise, kind.hard)
+        found = outline_errors(view, *mask, noise, kind.hard, believed)
         _last[view] = mask, found
     return found
 
