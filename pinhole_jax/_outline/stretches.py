@@ -16,7 +16,7 @@ from .._solver.looks import HIDDEN, View
 NEAREST = 16.0
 #: As many terms of a sawtooth's Fourier series, and the variance that pixels have by themselves,
 #: since edges bend.
-HARMONICS, BENT = 6, 0.2
+HARMONICS, BENT = 6, 0.1
 
 
 class Stretches(NamedTuple):

@@ -47,7 +47,11 @@ NAMES = {
 }
 PLAIN_NAMES = {plain: name for name, known in NAMES.items() for plain in known.split()}
 #: A pose's fields, and their shapes.
-POSES = {"extrinsic_parameters": [(-1, 6)], "rvec": [(3,)], "R": [(3,), (3, 3)]}
+POSES: dict[str, list[tuple[int, ...]]] = {
+    "extrinsic_parameters": [(-1, 6)],
+    "rvec": [(3,)],
+    "R": [(3,), (3, 3)],
+}
 #: What looks like coefficients of a lens, one number or several, under a name that is not known.
 LENS_NUMBER = re.compile(r"(.*[_.\-\s])?([kp][1-6]|xi)", re.I)
 LENS_NUMBERS = re.compile(
