@@ -92,8 +92,8 @@ class Rules:
     #: shrunk one had 3 of 379: with 0.003, as likely computed, it is 12 sigma off.)
     strays: float = 0.0005
     wrong_side: float = 0.6
-    #: Pixels add at most so much to the logarithm of the odds that a mask is computed of which a
-    #: part is not believed. (All of a plug but its prongs may have grown: 18 sigma off with 4.)
+    #: If a part of a mask is not believed, its pixels add at most so much to the logarithm of the
+    #: odds that it is computed. (All of a plug but its prongs may have grown: 18 sigma off with 4.)
     partly: float = 1.5
     #: Quantisation's variance, beside that of pixels which err independently: straight edges that
     #: nearly follow the rows err alike. (Of 48 masks of one bit all are told with 2, 40 with 1.)
