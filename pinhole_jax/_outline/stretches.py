@@ -144,18 +144,19 @@ def quantised(view: View) -> np.ndarray:
     pixels whose coverage differs by s the correlation is 1 - 6 s (1 - s), here as a Fourier series;
     rows are independent.
     """
-    (row, column), shown = _places(view.pixels, view.level).T, _shown(view.pixels, view.level)
+    row, column = _places(view.pixels, view.level).T
+    rows = view.jacobian[: len(row)].astype(float)
     up, right = Coverage.from_view(view).growth(row, column)
     lies = np.abs(up) >= np.abs(right)  # (along the row)
     line, along = np.where(lies, row, column), np.where(lies, column, row)
     side = 2 * lies + (np.where(lies, up, right) > 0)
     order = np.lexsort((along, line, side))
-    order = order[shown[order]]
+    order = order[np.any(rows[order] != 0, axis=1)]  # (An edge may lie between pixels.)
     if not order.size:
-        return np.zeros((view.jacobian.shape[1],) * 2)
+        return rows.T @ rows
     step = np.diff(np.stack([side, line, along])[:, order], axis=1, prepend=-2)
     begins = np.flatnonzero(np.any(step != [[0], [0], [1]], axis=0))
-    rows = view.jacobian[: len(shown)][order].astype(float)
+    rows = rows[order]
     phase = np.exp(2j * np.pi * np.asarray(view.pixels.coverage, float)[order])[:, None]
     parts = 6 / (np.pi * np.arange(1, HARMONICS + 1)) ** 2
     sums = [np.add.reduceat(rows * phase**k, begins) for k in range(1, HARMONICS + 1)]

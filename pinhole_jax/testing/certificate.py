@@ -220,9 +220,10 @@ def _verdict(errors: np.ndarray, gap: float, nearby: Slopes, scales: Scales, sca
 
 def _mode_gap(rendering: _Rendering, probe: Probe, derivative: np.ndarray, least: float) -> float:
     """Return the relative distance of <gradient, direction> from <weight, derivative>."""
-    pairs = zip(*map(jax.tree.leaves, (rendering.gradient, probe.direction)), strict=True)
+    parts = (jax.tree.leaves(tree) for tree in (rendering.gradient, probe.direction))
+    slopes, ways = ([np.asarray(x, float) for x in part] for part in parts)
     # (A NaN where the direction is 0 belongs to another row.)
-    pulled = sum(np.sum(np.asarray(g, float)[x != 0] * x[x != 0]) for g, x in pairs)
+    pulled = sum(np.sum(g[x != 0] * x[x != 0]) for g, x in zip(slopes, ways, strict=True))
     parts = rendering.weight * derivative
     scale = max(np.sum(np.abs(parts)), least * sum(derivative.shape))
     return float(np.abs(pulled - np.sum(parts)) / scale)
