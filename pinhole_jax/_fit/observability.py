@@ -73,9 +73,17 @@ def observability(
     print(told)
     ```
     """
-    freed, camera, triangle, reported, blind = _look(camera, scene, free, weight)
+    check_view(camera, scene)
+    check_scene(scene)
+    freed = check_free(free, camera)
+    camera = with_lens(camera, freed)
+    weights = check_weight(weight, camera.W, camera.H)
+    mask = Mask(np.full(weights.shape, 0.25), weights, camera)  # (any mask)
+    solver = Solver.on(Subject.from_scene(scene, camera.e.dtype), mask, freed, 1)
+    view, blind = solver.look(canonical(camera)), BLIND[solver.dtype]
+    triangle = np.asarray(view.triangle, float)
+    by_px = triangle / UNIT_PX, to_units(view.to_reported, freed, camera) / UNIT_PX
     _, weak = weak_directions(triangle, components(freed), axes_of(camera), blind)
-    by_px = triangle / UNIT_PX, reported / UNIT_PX
     return observability_of(labels_of(freed), *by_px, noise, blind, weak)
 
 
@@ -99,21 +107,3 @@ def observability_of(
     rank = int(np.sum(values > blind * max(values[0], np.finfo(float).tiny)))
     std = np.sqrt(np.diag(cov))
     return Observability(names, rank, len(values), values, std, cov, tuple(weak))
-
-
-def _look(
-    camera: Camera, scene: Scene, free: str | Sequence[str], weight: ArrayLike | None
-) -> tuple[tuple[str, ...], Camera, np.ndarray, np.ndarray, float]:
-    """The names, the camera with all of these, R of J = QR, the derivative of the reported
-    parameters by the moves, and what counts as blind."""
-    check_view(camera, scene)
-    check_scene(scene)
-    freed = check_free(free, camera)
-    camera = with_lens(camera, freed)
-    weights = check_weight(weight, camera.W, camera.H)
-    image = np.full(weights.shape, 0.25)  # any mask
-    subject, mask = Subject.from_scene(scene, camera.e.dtype), Mask(image, weights, camera)
-    solver = Solver.on(subject, mask, freed, 1)
-    view = solver.look(canonical(camera), solver.finest)
-    reported = to_units(view.to_reported, freed, camera)
-    return freed, camera, np.asarray(view.triangle, float), reported, BLIND[solver.dtype]

@@ -75,7 +75,7 @@ def _blank(view: Any, cameras: Any) -> Any:
     if not isinstance(camera, Camera):
         return view
     mask = np.zeros((camera.H, camera.W))
-    mask[camera.H // 4 : -(camera.H // 4) or None, camera.W // 4 : -(camera.W // 4) or None] = 1
+    mask[tuple(slice(n // 4, n - n // 4) for n in mask.shape)] = 1
     return view._replace(target=mask, photo=None)
 
 
