@@ -361,10 +361,11 @@ def gradients(view: View, variance: float, context: Context) -> tuple[np.ndarray
     independent, errors = variance * triangle.T @ triangle, context.errors
     # What is not of this mask's pixels, as a prior, keeps its variance.
     beside = variance * view.known.T @ view.known
-    computed = variance * quantised(view) + beside if context.kind.hard else independent
+    share, computed = 1.0 if errors is None else errors.computed, independent
+    if context.kind.hard and share:
+        computed = variance * quantised(view) + beside
     if errors is None:
         return independent, computed
-    share = errors.computed
     return independent, share * computed + (1 - share) * beside + errors.gradient
 
 

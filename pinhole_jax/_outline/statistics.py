@@ -14,8 +14,9 @@ from .outline_errors import OutlineErrors, is_drawn, outline_errors
 #: What a hard edge leaves in a pixel of the outline, and what 8 bits do.
 ONE_BIT, LEAST_VARIANCE = 1 / 12, 1 / 12 / 255**2
 
-#: The target and the weights that a view was last held against, and the errors found.
-_last: WeakKeyDictionary[View, tuple[tuple[np.ndarray, Weights], OutlineErrors | None]]
+#: The target and the weights that a view was last held against, whether all of it was believed, and
+#: the errors found.
+_last: WeakKeyDictionary[View, tuple[tuple[np.ndarray, Weights, bool], OutlineErrors | None]]
 _last = WeakKeyDictionary()
 
 
@@ -49,7 +50,7 @@ def quantisation(variance: float, weight: float) -> float:
 def mask_errors(solver: Solver, view: View, believed: bool = True) -> OutlineErrors | None:
     """The errors of the mask's outline, as a view shows them, if all of it is `believed`; None for
     a mask that is computed and explained, and where too little is seen."""
-    kind, mask = solver.kind, (solver.target, solver.weights)
+    kind, mask = solver.kind, (solver.target, solver.weights, believed)
     if kind.exact and kind.explains(view.touched_misfit, False):
         return None
     before, found = _last.get(view, (None, None))
@@ -57,7 +58,7 @@ def mask_errors(solver: Solver, view: View, believed: bool = True) -> OutlineErr
         weight = np.asarray(view.pixels.weight)
         scale = float(np.median(weight[weight > 0])) if np.any(weight > 0) else 1.0
         noise = quantisation(max(kind.variance, view.touched_misfit), scale)
-        found = outline_errors(view, *mask, noise, kind.hard, believed)
+        found = outline_errors(view, *mask[:2], noise, kind.hard, believed)
         _last[view] = mask, found
     return found
 
