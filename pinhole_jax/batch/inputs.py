@@ -172,7 +172,7 @@ def _window(record: Record, size: Size) -> tuple[float, float, int, int]:
     if "resize" in record:
         W, H = _pixel_size("resize", *numbers_of("resize", record["resize"], 2))
     if "crop" not in record:
-        return 0, 0, W, H
+        return 0.0, 0.0, W, H
     left, top, *sides = numbers_of("crop", record["crop"], 4)
     w, h = _pixel_size("crop", *sides)
     if (w, h) != (W, H):
