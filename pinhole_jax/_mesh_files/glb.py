@@ -68,7 +68,7 @@ def place_nodes(nodes: list[Fields], roots: Iterable[int]) -> dict[int, np.ndarr
 
 def children(part: Fields, nodes: list[Fields], name: str = "children") -> list[int]:
     """Return the numbers of nodes that a field lists."""
-    expected, most = f"numbers of nodes below {len(nodes)}", len(nodes) - 1
+    expected, most = f"numbers of nodes below {len(nodes)}", len(nodes) - 1.0
     return part.counts(name, expected, most) if name in part else []
 
 
