@@ -34,7 +34,7 @@ from .implicit import camera_velocity, check_plain, through
 from .likelihood import Account
 from .occluders import from_all_sides, near_starts
 from .photo import COLOURS, check_photo, on_photo
-from .places import Free, settled, transported, turned_about
+from .places import Free, settled, tilted, transported, turned_about
 from .refine import Candidate, Refiner, likeliest
 from .result import Context, Fit, Progress, progress_at, report, with_modes, with_unbelieved
 from .strategy import everywhere, free_about, from_start, to_the_end, turns_freely
@@ -262,8 +262,7 @@ def _fit(
         # Of a drawn mask the likeliest is not where descents on pixels end: begin again, and look
         # round it.
         if kept[0].covariance is not None:
-            again = [*([] if start is None else [start]), *lookalikes(solver, kept[0].found.camera)]
-            found += refiner.proposals(again, kept[0].log)
+            found += looked_about(refiner, kept[0], start)
             kept = likeliest(found, 0, start)
 
         # 4. Keep the modes.
@@ -288,6 +287,19 @@ def _leaves_nothing(solver: Solver, view: View, mask: Mask) -> bool:
     if view.touched_misfit > RULES.exact * mask.usual_weight:
         return False
     return solver.kind.exact or is_computed(mask_errors(solver, view))
+
+
+def looked_about(refiner: Refiner, best: Candidate, start: Camera | None) -> list[Candidate]:
+    """Candidates round about one: from the start, what looks alike, and what is tilted. (An outline
+    that is all too far out or in tilts what is flat, and steps that know it do not lead back.)"""
+    solver, camera = refiner.solver, best.found.camera
+    again = [*([] if start is None else [start]), *lookalikes(solver, camera)]
+    found = refiner.proposals(again, best.log)
+    if turns_freely(solver.freed):
+        best, *_ = likeliest([best, *found], 0, start)
+        tilts = tilted(best.found.camera, solver.subject.ball.centre)
+        found += refiner.proposals(tilts, best.log, RULES.followed)
+    return found
 
 
 def lookalikes(solver: Solver, camera: Camera) -> list[Camera]:

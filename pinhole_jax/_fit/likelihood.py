@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from .._mask.edges import SparseImage
-from .._outline.outline_errors import ErrorFit, ErrorModel
+from .._outline.outline_errors import ErrorFit, ErrorModel, Evidence
 from .._rules import RULES
 from .edge import EXACT_PX, Edge, OutlinePoints, matched
 
@@ -95,7 +95,8 @@ class Account:
 @dataclass(frozen=True, eq=False)
 class _Segmentation:
     log: float
-    errors: ErrorFit
+    model: ErrorModel
+    evidence: Evidence
     gross: np.ndarray
 
 
@@ -142,7 +143,7 @@ class Likelihood:
         found = self._explained(offset, blocks.mean(pairs.by_move), roughly)
         if found is None:
             return None
-        gross, errors = found.gross[blocks.of], found.errors
+        gross, errors = found.gross[blocks.of], found.model.fit(found.evidence)
         inside = (offset < 0)[blocks.of]
         away = edge.distance(outline.at)
         alone = away > max(RULES.within * errors.size, RULES.beside) + abs(errors.bias)
@@ -163,12 +164,12 @@ class Likelihood:
         length, ends = self._blocks.length, float(np.log(len(offset)))
 
         def weighed(gross: np.ndarray, model: ErrorModel) -> _Segmentation:
-            errors = model.fit(offset, by_move, gross, self._computed)
+            errors = model.evidence(offset, by_move, gross, self._computed)
             # As dense as what lies about a smooth curve within a pixel.
-            log = errors.log - np.sum(gross) / 2
+            log = errors.total - np.sum(gross) / 2
             runs = np.count_nonzero(gross != np.roll(gross, 1)) / 2
             log -= 2 * ends * runs + _price(np.sum(length[gross]), runs, self.edge.size, 1.0)
-            return _Segmentation(float(log), errors, gross)
+            return _Segmentation(float(log), model, errors, gross)
 
         some = self._runs(offset)
         if not some:

@@ -253,11 +253,24 @@ def _around(solver: Solver, best: Solution, line: Revolution) -> list[Solution]:
 
 def turned_about(camera: Camera, line: Revolution, count: int) -> list[Camera]:
     """This many cameras all round a line, the given one first."""
-    cameras = []
-    for turn in 2 * np.pi * np.arange(count) / count:
-        rotation = _rotation(turn * line.axis)
-        cameras.append(rotated(camera, rotation, line.centre - rotation @ line.centre))
-    return cameras
+    turns = 2 * np.pi * np.arange(count) / count
+    return [_turned(camera, turn * line.axis, line.centre) for turn in turns]
+
+
+def tilted(camera: Camera, centre: np.ndarray) -> list[Camera]:
+    """Cameras tilted every way about a centre: by half of a start's error, and by all of it."""
+    right, up, _ = axes_of(camera)
+    ways = 2 * np.pi * np.arange(RULES.sectors) / RULES.sectors
+    lines = [np.cos(way) * right + np.sin(way) * up for way in ways]
+    return [
+        _turned(camera, far * x, centre) for far in (RULES.start / 2, RULES.start) for x in lines
+    ]
+
+
+def _turned(camera: Camera, turn: np.ndarray, centre: np.ndarray) -> Camera:
+    """Return a camera turned about a centre by a rotation vector."""
+    rotation = _rotation(turn)
+    return rotated(camera, rotation, centre - rotation @ centre)
 
 
 def _led_to(solver: Solver, best: Solution, starts: Iterable[Camera]) -> Iterator[Solution | None]:

@@ -75,14 +75,18 @@ class Refiner:
         return self.likelihood.edge
 
     def candidates(
-        self, cameras: Iterable[Solution], start: Camera | None = None, best: float | None = None
+        self,
+        cameras: Iterable[Solution],
+        start: Camera | None = None,
+        best: float | None = None,
+        most: int = RULES.turns,
     ) -> list[Candidate]:
         """The candidates that the likeliest cameras become, but for those that others rule out: the
         first ones, or where these are proposals beside a `best` likelihood (its logarithm) the
-        likeliest."""
+        likeliest, `most` of them."""
         begun = [(found, self.account(found.camera, roughly=True)) for found in cameras]
         logs = [np.inf if said is None else said.log for _, said in begun]
-        likely = sorted(range(len(begun)), key=lambda k: -logs[k])[: RULES.turns]
+        likely = sorted(range(len(begun)), key=lambda k: -logs[k])[:most]
         done: list[Candidate] = []
         for k in sorted(likely) if best is None else likely:
             found, said = begun[k]
@@ -91,10 +95,13 @@ class Refiner:
             done += [] if made is None else [made]
         return done
 
-    def proposals(self, cameras: Iterable[Camera], best: float) -> list[Candidate]:
-        """The candidates that cameras become, beside one with this logarithm of the likelihood."""
+    def proposals(
+        self, cameras: Iterable[Camera], best: float, most: int = RULES.turns
+    ) -> list[Candidate]:
+        """The candidates that the likeliest cameras become, beside one with this logarithm of the
+        likelihood."""
         look = lambda camera: Solution(camera, self.solver.look(camera, self.solver.finest), ())
-        return self.candidates(map(look, cameras), best=best)
+        return self.candidates(map(look, cameras), best=best, most=most)
 
     def _refined(
         self,

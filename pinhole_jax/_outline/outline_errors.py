@@ -14,7 +14,7 @@ covariance is the mean of the hypotheses'.
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -159,6 +159,11 @@ class Evidence(NamedTuple):
     bias: np.ndarray
     covariance: np.ndarray
 
+    @property
+    def total(self) -> float:
+        """The logarithm of the likelihood, all hypotheses together."""
+        return float(np.logaddexp.reduce(self.log))
+
 
 class ErrorFit(NamedTuple):
     """A likelihood's logarithm; the errors' size (px) at the likeliest hypothesis, and by how much
@@ -214,10 +219,15 @@ class ErrorModel:
         self.length = np.array([0.0, *(length for length, *_ in kinds)])[self._kind]
 
     def evidence(
-        self, offset: np.ndarray, by_move: np.ndarray, gross: np.ndarray | None = None
+        self,
+        offset: np.ndarray,
+        by_move: np.ndarray,
+        gross: np.ndarray | None = None,
+        computed: float | None = None,
     ) -> Evidence:
         """The evidence of offsets (N,) with derivatives (N, n), without those that are gross (N,):
-        the camera's error, the bias and gross offsets integrated out, by normal equations."""
+        the camera's error, the bias and gross offsets integrated out, by normal equations.
+        `computed`: how likely it is that the mask is, if more than offsets tells."""
         scale = np.maximum(np.linalg.norm(by_move, axis=0), 1e-300)
         columns = np.column_stack([by_move / scale, np.ones(len(offset)), offset])
         inner, right, squares, determinant = self._normal(columns, gross)
@@ -231,8 +241,13 @@ class ErrorModel:
         inverse = np.linalg.inv(inner)
         left = squares - np.einsum("hi,hij,hj->h", right, inverse, right)
         logs = determinant + 2 * np.log(tight) + np.linalg.slogdet(inner)[1]
+        logs = np.log(self._prior) - (logs + left) / 2
+        if computed is not None:
+            with np.errstate(divide="ignore"):
+                odds = np.log(computed) - np.log1p(-computed)
+            logs[0] = np.logaddexp.reduce(logs[1:]) + odds
         return Evidence(
-            log=np.log(self._prior) - (logs + left) / 2,
+            log=logs,
             move=moved[:, :-1] / scale,
             bias=moved[:, -1],
             covariance=inverse[:, :-1, :-1] / np.outer(scale, scale),
@@ -255,26 +270,13 @@ class ErrorModel:
         inner, right, squares = products[:, :-1, :-1], products[:, :-1, -1], products[:, -1, -1]
         return inner, right, squares, determinant[self._of]
 
-    def fit(
-        self,
-        offset: np.ndarray,
-        by_move: np.ndarray,
-        gross: np.ndarray | None = None,
-        computed: float | None = None,
-    ) -> ErrorFit:
-        """How likely offsets are, all hypotheses together, and where the camera is likeliest;
-        `computed`: how likely it is that the mask is, if more than offsets tells."""
-        from scipy.special import logit, logsumexp
-
-        found = self.evidence(offset, by_move, gross)
-        if computed is not None:
-            found.log[0] = logsumexp(found.log[1:]) + logit(computed)
-        total: Any = logsumexp(found.log)
-        share, likeliest = np.exp(found.log - total), int(np.argmax(found.log))
+    def fit(self, found: Evidence) -> ErrorFit:
+        """What the evidence says, all hypotheses together, and where the camera is likeliest."""
+        share, likeliest = np.exp(found.log - found.total), int(np.argmax(found.log))
         move = _mode(found)
         apart = found.move - move
         return ErrorFit(
-            log=float(total),
+            log=found.total,
             size=float(self.size[likeliest]),
             bias=float(found.bias[likeliest]),
             move=move,
