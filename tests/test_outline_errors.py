@@ -169,7 +169,7 @@ def test_ellipsoids_hold_for_errors_of_a_circle_that_are_rough_or_smooth(power, 
     model = ErrorModel(at, 1e-3 / 4.2, RULES.lengths, RULES.shapes)
     random, held = np.random.default_rng(0), []
     for _ in range(40):
-        fit = model.fit(root @ random.normal(size=60), by_move)
+        fit = model.fit(model.evidence(root @ random.normal(size=60), by_move))
         held.append(fit.move @ np.linalg.solve(fit.covariance, fit.move) < 9.49)  # (95 % of four)
     assert np.mean(held) > 0.85
 

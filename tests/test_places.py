@@ -41,6 +41,25 @@ def test_fits_that_once_lied_are_honest(number, shape, kind):
     assert not honesty.is_lie(row), row
 
 
+@pytest.mark.parametrize(
+    ("number", "shape", "kind"),
+    [
+        (600250, "gear with keyway", "soft"),  # 16 degrees, 6 sigma
+        (600717, "shoe", "grown"),  # 13 degrees, 11 sigma
+    ],
+)
+def test_outline_that_is_all_too_far_out_tilts_no_camera(number, shape, kind):
+    """Flat bodies, whose outlines are 2 to 4 px out: descents come to rest far off."""
+    row = honesty.wrong_trial(number, shape, kind)
+    assert row["degrees"] < min(2, 3 * row["sigma"]), row
+
+
+def test_error_bar_reaches_over_a_shelf():
+    """A small plug's tilt: four standard errors off the squares are a fifth of those foretold."""
+    row = honesty.wrong_trial(500181, "plug", "hard")
+    assert row["degrees"] < 3 * row["sigma"] < 9, row
+
+
 CAMERA = usual_camera()
 
 

@@ -34,7 +34,7 @@ from .implicit import camera_velocity, check_plain, through
 from .likelihood import Account
 from .occluders import from_all_sides, near_starts
 from .photo import COLOURS, check_photo, on_photo
-from .places import Free, settled, tilted, transported, turned_about
+from .places import Free, settled, shelf, tilted, transported, turned_about
 from .refine import Candidate, Refiner, likeliest
 from .result import Context, Fit, Progress, progress_at, report, with_modes, with_unbelieved
 from .strategy import everywhere, free_about, from_start, to_the_end, turns_freely
@@ -212,13 +212,14 @@ class Settings(NamedTuple):
 class _Mode:
     """A camera that may be right: what was `found`, the sums `over_all` pixels, how the mask's
     outline errs. If the mask is not exact, the account of its edge; if that is not surely computed,
-    the camera's covariance (n, n) by moves."""
+    the camera's covariance (n, n) by moves, else the move that shows least, and its `shelf`."""
 
     found: Solution
     over_all: Sums
     errors: OutlineErrors | None
     account: Account | None = None
     covariance: np.ndarray | None = None
+    shelf: tuple[np.ndarray, float] | None = None
 
 
 def _fit(
@@ -243,7 +244,10 @@ def _fit(
     say("last level: looking for other views that fit")
     if reach is None or _leaves_nothing(solver, places.best.view, mask):
         ended = to_the_end(solver, [places.best, *places.others])
-        modes = [_Mode(f, f.view.sums, mask_errors(solver, f.view)) for f in ended]
+        modes = [
+            _Mode(f, f.view.sums, mask_errors(solver, f.view), shelf=shelf(solver, f))
+            for f in ended
+        ]
         free, near, edge = free_about(solver, ended[0], places), solver, None
     else:
         # 2. Refine each on the part of the mask's edge that it believes.
@@ -274,7 +278,9 @@ def _fit(
         if best.covariance is not None:  # (Places along others are candidates, too.)
             about = [transported(near, best.found, f) for f in free]
             free = [f for f in about if refiner.is_free(best, f, found)]
-        modes = [_Mode(c.found, c.whole.sums, c.errors, c.account, c.covariance) for c in kept]
+        modes = [
+            _Mode(c.found, c.whole.sums, c.errors, c.account, c.covariance, c.shelf()) for c in kept
+        ]
 
     # 5. Status, covariance, words.
     fit = _fit_of(solver, mask, modes, free, edge, start is None, settings)
@@ -361,9 +367,8 @@ def _fit_of(
         said = mode.account
         astray = None if said is None or edge is None else said.astray(edge)
         hidden = said is not None and bool(np.any(said.gross))
-        context = Context(
-            kind, settings.bounds, about, mode.errors, None, astray, hidden, mode.covariance
-        )
+        known = mode.covariance, None if free else mode.shelf
+        context = Context(kind, settings.bounds, about, mode.errors, None, astray, hidden, *known)
         return report(mask.camera, mode.found, mode.over_all, freed, context)
 
     said, note = None, None

@@ -207,6 +207,28 @@ def _radian(solver: Solver, found: Solution) -> float:
     return float(np.clip(solver.subject.ball.radius / reach, 1e-3, 1) / size)
 
 
+def shelf(solver: Solver, found: Solution) -> tuple[np.ndarray, float]:
+    """The move (n,) that shows least, and which share of the squares that the Jacobian foretells
+    four standard errors along it is left there, on the flatter side, when all else is fitted."""
+    _, values, moves = np.linalg.svd(np.asarray(found.view.triangle, float))
+    others, move = moves[:-1], moves[-1]
+    foretold = RULES.times**2 * residual_variance(solver, found.view)
+    far = foretold**0.5 / max(values[-1], 1e-300)
+
+    def left(stride: float) -> float:
+        """The squares more than those of the camera found."""
+        view = solver.look(solver.step(found.camera, solver.finest, stride * move), solver.finest)
+        rows, along = np.asarray(view.triangle, float) @ others.T, np.asarray(view.along, float)
+        if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(along))):
+            return np.inf
+        fitted = np.linalg.qr(rows)[0].T @ along
+        return view.squares - float(fitted @ fitted) - found.view.squares
+
+    if not far < np.pi * _radian(solver, found):
+        return move, 1.0
+    return move, float(np.clip(min(left(far), left(-far)) / foretold, RULES.times**-2, 1.0))
+
+
 def _along(solver: Solver, best: Solution, direction: _Direction) -> list[Solution]:
     """The ends of descents from both sides of a camera."""
     if direction.line is not None:

@@ -256,7 +256,7 @@ def progress_at(stop: Stop, camera: Camera) -> Progress:
 class Context(NamedTuple):
     """What is known beside a view: the mask's kind, bounds, the directions found to be free, how
     the outline errs; a residual's variance if known better; where the likelihood gives it, the
-    `covariance` (n, n) by moves."""
+    `covariance` (n, n) by moves; else the move that shows least, and its `shelf`."""
 
     kind: Kind
     bounds: Bounds | None = None
@@ -266,6 +266,7 @@ class Context(NamedTuple):
     astray: float | None = None
     hidden: bool = False
     covariance: np.ndarray | None = None
+    shelf: tuple[np.ndarray, float] | None = None
 
     def share_astray(self, near: Any, whole: Any) -> float:
         """The share of the outline that nothing explains: where nothing better is known, that which
@@ -307,6 +308,8 @@ def report(
     independent = independent + widened(to_reported, [] if drawn else context.free, tolerance)
     known_by = cov if drawn else np.zeros_like(cov)
     cov = cov + widened(to_reported, context.free, tolerance, known_by)
+    if context.shelf is not None:
+        cov = cov + _flatter(triangle, to_reported, both[1], *context.shelf)
     names_of_moves = components(freed)
     # (How far a drawn mask's errors reach is in the covariance: no direction is free for that.)
     free = [f for f in context.free if not drawn or np.isinf(f.ahead)]
@@ -335,6 +338,23 @@ def report(
         independent_covariance=independent,
         mask_error=MaskError.from_outline(context.errors),
     )
+
+
+def _flatter(
+    triangle: np.ndarray,
+    to_reported: np.ndarray,
+    gradient: np.ndarray,
+    move: np.ndarray,
+    left: float,
+) -> np.ndarray:
+    """What a covariance lacks along a move, where a share of the squares foretold there is `left`:
+    nothing, where that is no small one."""
+    shown = float(np.sum((triangle @ move) ** 2))
+    if left > RULES.foretold or not shown > 0:
+        return np.zeros((len(to_reported),) * 2)
+    variance = (1 / left - 1) * float(move @ gradient @ move) / shown**2
+    along = to_reported @ move
+    return variance * np.outer(along, along)
 
 
 def _disagreement(sums: Any, astray: float, unexplained: bool) -> tuple[str, ...]:
