@@ -32,7 +32,8 @@ class Account:
     - `errors`: how the edge errs where it is believed. Its `move` goes where the camera is
       likelier; that is a `shift` of the outline by as much as this (px).
     - `gross` (n,): which points of the edge are not believed; `inside` (n,): which lie inside the
-      outline, where something may hide the rest.
+      outline, where something may hide the rest; `outside` (n,): which lie farther out of it than
+      an edge errs.
     - `missing`: which share of the outline has no edge beside it, and nothing hides it; `covered`:
       which share something hides.
     """
@@ -41,6 +42,7 @@ class Account:
     errors: ErrorFit
     gross: np.ndarray
     inside: np.ndarray
+    outside: np.ndarray
     missing: float
     covered: float
     shift: float
@@ -71,7 +73,7 @@ class Account:
 
     def astray(self, edge: Edge) -> float:
         """The share of edge and outline that no occluder explains."""
-        return self.missing + float(np.sum(edge.step[self.gross & ~self.inside]) / edge.length)
+        return self.missing + float(np.sum(edge.step[self.gross & self.outside]) / edge.length)
 
     def words(self, edge: Edge, height: int) -> tuple[np.ndarray, str]:
         """The points (n, 2) of the edge that are not believed, and a sentence on them; a few are
@@ -144,9 +146,10 @@ class Likelihood:
         if found is None:
             return None
         gross, errors = found.gross[blocks.of], found.model.fit(found.evidence)
-        inside = (offset < 0)[blocks.of]
+        reach = max(RULES.within * errors.size, RULES.beside) + abs(errors.bias)
+        inside, outside = (offset < 0)[blocks.of], (offset > reach)[blocks.of]
         away = edge.distance(outline.at)
-        alone = away > max(RULES.within * errors.size, RULES.beside) + abs(errors.bias)
+        alone = away > reach
         whole = np.mean(alone)
         alone[alone] = ~_is_hidden(edge, gross & inside, outline.at[alone], away[alone])
         missing = float(np.mean(alone))
@@ -155,7 +158,7 @@ class Likelihood:
         covered = float(whole - missing)
         price += covered / RULES.small  # (how much an occluder hides: exponential)
         shift = float(np.max(np.abs(pairs.by_move @ errors.move)))
-        return Account(found.log - price, errors, gross, inside, missing, covered, shift)
+        return Account(found.log - price, errors, gross, inside, outside, missing, covered, shift)
 
     def _explained(
         self, offset: np.ndarray, by_move: np.ndarray, roughly: bool
