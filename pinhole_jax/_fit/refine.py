@@ -256,12 +256,15 @@ def likeliest(candidates: Sequence[Candidate], alike: int, start: Camera | None)
     """The candidates that a mask does not tell apart, the likeliest first.
 
     The first `alike` of them leave equal squares: they stay together unless a person or a network
-    drew the mask, whose errors are among those squares. A start is another measurement.
+    drew the mask, whose errors are among those squares. A start is another measurement, and rules
+    out what lies too far from it, unless the likeliest does.
     """
     far = [0.0 if start is None else angle(c.found.camera, start) for c in candidates]
     logs = [c.log - (x / RULES.start) ** 2 / 2 for c, x in zip(candidates, far, strict=True)]
     order = sorted(range(len(logs)), key=lambda k: -logs[k])
     least = logs[order[0]] - RULES.times**2 / 2
     together = order[0] < alike and not is_drawn(candidates[order[0]].errors)
-    likely = [candidates[k] for k in order if logs[k] >= least or (together and k < alike)]
+    reach = max(RULES.too_far, far[order[0]])
+    stays = lambda k: together and k < alike and far[k] <= reach
+    likely = [candidates[k] for k in order if logs[k] >= least or stays(k)]
     return list(distinct(likely, RULES.same, lambda candidate: candidate.found.camera))
