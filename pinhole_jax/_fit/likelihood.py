@@ -134,8 +134,8 @@ class Likelihood:
         return known
 
     def account(self, outline: OutlinePoints | None, roughly: bool = False) -> Account | None:
-        """The account by a camera that sees an outline; None where there is none. `roughly`: with
-        few hypotheses on how the edge errs."""
+        """The account by a camera that sees an outline; None where there is none, or nearly all of
+        it is elsewhere. `roughly`: with few hypotheses on how the edge errs."""
         edge, blocks = self.edge, self._blocks
         if outline is None or len(blocks.length) < outline.by_move.shape[1] + 4:
             return None
@@ -153,6 +153,8 @@ class Likelihood:
         whole = np.mean(alone)
         alone[alone] = ~_is_hidden(edge, gross & inside, outline.at[alone], away[alone])
         missing = float(np.mean(alone))
+        if missing > 1 - RULES.small:
+            return None
         px = missing * outline.length
         price = _price(px, min(px / 3, 1.0), edge.size, max(errors.size, 0.3))
         covered = float(whole - missing)
