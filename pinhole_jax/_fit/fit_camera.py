@@ -221,6 +221,18 @@ class _Mode:
     covariance: np.ndarray | None = None
     shelf: tuple[np.ndarray, float] | None = None
 
+    @classmethod
+    def from_solution(cls, solver: Solver, found: Solution) -> "_Mode":
+        """The mode that squares alone lead to."""
+        errors = mask_errors(solver, found.view)
+        return cls(found, found.view.sums, errors, shelf=shelf(solver, found))
+
+    @classmethod
+    def from_candidate(cls, c: Candidate) -> "_Mode":
+        """The mode that the likelihood keeps."""
+        flat = shelf(c.near, c.found) if c.covariance is None else None
+        return cls(c.found, c.whole.sums, c.errors, c.account, c.covariance, flat)
+
 
 def _fit(
     scene: Scene, mask: Mask, start: Camera | None, freed: tuple[str, ...], settings: Settings
@@ -244,10 +256,7 @@ def _fit(
     say("last level: looking for other views that fit")
     if reach is None or _leaves_nothing(solver, places.best.view, mask):
         ended = to_the_end(solver, [places.best, *places.others])
-        modes = [
-            _Mode(f, f.view.sums, mask_errors(solver, f.view), shelf=shelf(solver, f))
-            for f in ended
-        ]
+        modes = [_Mode.from_solution(solver, f) for f in ended]
         free, near, edge = free_about(solver, ended[0], places), solver, None
     else:
         # 2. Refine each on the part of the mask's edge that it believes.
@@ -278,9 +287,7 @@ def _fit(
         if best.covariance is not None:  # (Places along others are candidates, too.)
             about = [transported(near, best.found, f) for f in free]
             free = [f for f in about if refiner.is_free(best, f, found)]
-        modes = [
-            _Mode(c.found, c.whole.sums, c.errors, c.account, c.covariance, c.shelf()) for c in kept
-        ]
+        modes = [_Mode.from_candidate(c) for c in kept]
 
     # 5. Status, covariance, words.
     fit = _fit_of(solver, mask, modes, free, edge, start is None, settings)

@@ -208,8 +208,8 @@ def _radian(solver: Solver, found: Solution) -> float:
 
 
 def shelf(solver: Solver, found: Solution) -> tuple[np.ndarray, float]:
-    """The move (n,) that shows least, and which share of the squares that the Jacobian foretells
-    four standard errors along it is left there, on the flatter side, when all else is fitted."""
+    """The move (n,) that shows least, and the share left of the squares that the Jacobian foretells
+    four standard errors along it: on the flatter side, with all else fitted."""
     _, values, moves = np.linalg.svd(np.asarray(found.view.triangle, float))
     others, move = moves[:-1], moves[-1]
     foretold = RULES.times**2 * residual_variance(solver, found.view)

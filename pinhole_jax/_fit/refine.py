@@ -22,7 +22,7 @@ from .._solver.problem import FINE_PX
 from .._solver.solver import Solution, Solver, onward
 from .edge import Edge, edge_of, outline_seen
 from .likelihood import Account, Likelihood, believed
-from .places import Free, shelf
+from .places import Free
 
 #: Steps by generalised least squares at most, and those before which no camera is given up; a step
 #: of fewer standard errors is the last.
@@ -47,10 +47,6 @@ class Candidate:
     def log(self) -> float:
         """The logarithm of the likelihood."""
         return -np.inf if self.account is None else self.account.log
-
-    def shelf(self) -> tuple[np.ndarray, float] | None:
-        """The move that shows least, and its `shelf`; None of a mask that may be drawn."""
-        return None if self.covariance is not None else shelf(self.near, self.found)
 
     def is_explained(self) -> bool:
         """Whether nearly all of the camera's outline has an edge beside it, or is hidden."""

@@ -308,8 +308,7 @@ def report(
     independent = independent + widened(to_reported, [] if drawn else context.free, tolerance)
     known_by = cov if drawn else np.zeros_like(cov)
     cov = cov + widened(to_reported, context.free, tolerance, known_by)
-    if context.shelf is not None:
-        cov = cov + _flatter(triangle, to_reported, both[1], *context.shelf)
+    cov = cov + _flatter(triangle, to_reported, both[1], context.shelf)
     names_of_moves = components(freed)
     # (How far a drawn mask's errors reach is in the covariance: no direction is free for that.)
     free = [f for f in context.free if not drawn or np.isinf(f.ahead)]
@@ -344,17 +343,16 @@ def _flatter(
     triangle: np.ndarray,
     to_reported: np.ndarray,
     gradient: np.ndarray,
-    move: np.ndarray,
-    left: float,
-) -> np.ndarray:
-    """What a covariance lacks along a move, where a share of the squares foretold there is `left`:
-    nothing, where that is no small one."""
-    shown = float(np.sum((triangle @ move) ** 2))
-    if left > RULES.foretold or not shown > 0:
-        return np.zeros((len(to_reported),) * 2)
+    shelf: tuple[np.ndarray, float] | None,
+) -> np.ndarray | float:
+    """What a covariance lacks along a shelf's move: nothing where most of the squares foretold are
+    left."""
+    if shelf is None or shelf[1] > RULES.foretold:
+        return 0.0
+    move, left = shelf
+    shown = max(float(np.sum((triangle @ move) ** 2)), 1e-300)
     variance = (1 / left - 1) * float(move @ gradient @ move) / shown**2
-    along = to_reported @ move
-    return variance * np.outer(along, along)
+    return variance * np.outer(to_reported @ move, to_reported @ move)
 
 
 def _disagreement(sums: Any, astray: float, unexplained: bool) -> tuple[str, ...]:
