@@ -245,7 +245,7 @@ class Refiner:
         sums = candidate.whole.sums
         astray = float(sums.overlap) < (1 - RULES.astray) * float(sums.union)
         hidden = max(said.hidden(self.edge, RULES.small), said.missing) > RULES.little
-        return hidden or (astray and 2 * said.errors.size > self.outlier_px)
+        return hidden or (astray and said.errors.size > self.outlier_px)
 
 
 def likeliest(candidates: Sequence[Candidate], alike: int, start: Camera | None) -> list[Candidate]:
