@@ -7,6 +7,7 @@ import re
 import sys
 from collections.abc import Sequence
 from difflib import get_close_matches
+from functools import cache
 from typing import Any, NamedTuple, NoReturn
 
 from .. import __version__
@@ -85,13 +86,13 @@ def _join_values(arguments: Sequence[str]) -> list[str]:
 
     So a value may begin with a minus, and MESH may follow it.
     """
-    rest, result = list(arguments), []
-    while rest:
-        name = rest.pop(0)
-        parts = []
-        while rest and _belongs(name, rest[0]):
-            parts.append(rest.pop(0).strip(","))
-        result.append(f"{name}={','.join(parts)}" if parts else name)
+    option, result = "", []
+    for word in arguments:
+        if _belongs(option, word):
+            result[-1] += f"{',' if '=' in result[-1] else '='}{word.strip(',')}"
+        else:
+            option = word
+            result.append(word)
     return result
 
 
@@ -187,144 +188,115 @@ VERBS = {
         "camera.json transforms.json",
     ),
 }
-#: Each option: its metavar (none: a switch), its help, and other arguments of `add_argument`. An
-#: option that differs in one command is listed there as "command option".
-OPTIONS: dict[str, tuple[str, str] | tuple[str, str, dict[str, Any]]] = {
-    "mesh": ("MESH", "triangles: obj, ply, stl, glb, gltf or off"),
-    "check mesh": ("MESH", "as in `fit`; or a URDF file"),
-    "studio mesh": ("MESH", "triangles: obj, ply, stl, glb, gltf or off", {"nargs": "?"}),
-    "mask": ("MASK", "image of the camera's size, white on black"),
-    "camera": ("CAMERA", "a camera file, as `fit --camera` reads"),
-    "check camera": (
-        "CAMERA",
-        "any file that `convert` reads; if `fit` wrote it, its errors count, too",
+#: Each option as the usage shows it, and its help: its name (after a command, for that one alone),
+#: metavar (none: a switch), `?`, `*`, `+` for how many or `!` where it is required, type, default.
+OPTIONS = {
+    "mesh MESH": "triangles: obj, ply, stl, glb, gltf or off",
+    "check mesh MESH": "as in `fit`; or a URDF file",
+    "studio mesh MESH?": "triangles: obj, ply, stl, glb, gltf or off",
+    "mask MASK": "image of the camera's size, white on black",
+    "camera CAMERA": "a camera file, as `fit --camera` reads",
+    "check camera CAMERA": (
+        "any file that `convert` reads; if `fit` wrote it, its errors count, too"
     ),
-    "robot": ("ROBOT", "a URDF file, its meshes beside it"),
-    "joints": (
-        "JOINTS",
-        "angles (rad): a CSV file whose first line has the joints' names, or JSON with `names` and"
-        " `postures`, perhaps with `unit`: deg",
+    "robot ROBOT": "a URDF file, its meshes beside it",
+    "joints JOINTS": (
+        "angles (rad): a CSV file whose first line has the joints' names, or JSON with"
+        " `names` and `postures`, perhaps with `unit`: deg"
     ),
-    "masks": ("MASK", "an image for each row of JOINTS", {"nargs": "+"}),
-    "files": ("MASK", "as in `fit`; for a robot JOINTS, then a MASK for each row", {"nargs": "*"}),
-    "dataset": ("DATASET", "see below", {"nargs": "?"}),
-    "photo": ("PHOTO", "a photo of the object", {"nargs": "?"}),
-    "input": ("IN", "a camera file; of COLMAP, the model's folder"),
-    "output": ("OUT", "the file to write"),
-    "--camera": (
-        "START",
-        "start here instead of searching: a camera file (see below), or any that `convert` reads;"
-        " FILE:NAME selects one of several",
+    "masks MASK+": "an image for each row of JOINTS",
+    "files MASK*": "as in `fit`; for a robot JOINTS, then a MASK for each row",
+    "dataset DATASET?": "see below",
+    "photo PHOTO?": "a photo of the object",
+    "input IN": "a camera file; of COLMAP, the model's folder",
+    "output OUT": "the file to write",
+    "--camera START": (
+        "start here instead of searching: a camera file (see below), or any that"
+        " `convert` reads; FILE:NAME selects one of several"
     ),
-    "--K": (
-        "K",
-        "known intrinsics for the search: FX FY CX CY in px (OpenCV's), or a file with them:"
-        " OpenCV's or ROS's calibration, COLMAP's cameras.txt, JSON with K",
+    "--K K": (
+        "known intrinsics for the search: FX FY CX CY in px (OpenCV's), or a file with"
+        " them: OpenCV's or ROS's calibration, COLMAP's cameras.txt, JSON with K"
     ),
-    "--fov": (
-        "DEGREES",
-        "vertical field of view for the search (default: from PHOTO's EXIF data)",
-        {"type": float},
+    "--fov DEGREES: float": (
+        "vertical field of view for the search (default: from PHOTO's EXIF data)"
     ),
-    "batch --fov": ("DEGREES", "unless DATASET says otherwise", {"type": float}),
-    "studio --fov": (
-        "DEGREES",
-        "vertical field of view (default: from PHOTO's EXIF data, else 40)",
-        {"type": float},
+    "batch --fov DEGREES: float": "unless DATASET says otherwise",
+    "studio --fov DEGREES: float": (
+        "vertical field of view (default: from PHOTO's EXIF data, else 40)"
     ),
-    "--dist": ("K1,K2,...", "with --K: OpenCV's k1 k2 p1 p2, k3, k4 k5 k6"),
-    "--pixel-centres": (
-        "",
-        "where CX, CY of --K (and of the K that is printed) count from: the first pixel's centre is"
-        " 0 (OpenCV) or 0.5 (COLMAP); default: %(default)s",
-        {"choices": ("integer", "half"), "default": "integer"},
+    "--dist K1,K2,...": "with --K: OpenCV's k1 k2 p1 p2, k3, k4 k5 k6",
+    "--pixel-centres {integer,half} = integer": (
+        "where CX, CY of --K (and of the K that is printed) count from: the first pixel's"
+        " centre is 0 (OpenCV) or 0.5 (COLMAP); default: %(default)s"
     ),
-    "--crop": (
-        "LEFT TOP W H",
-        "MASK shows this window (px from the top left) of the picture of --K or --camera",
-        {"type": float},
+    "--crop LEFT TOP W H: float": (
+        "MASK shows this window (px from the top left) of the picture of --K or --camera"
     ),
-    "--resize": (
-        "W H",
-        "the size of MASK, px, before it was resized (with --crop: after cropping)",
-        {"type": int},
+    "--resize W H: int": (
+        "the size of MASK, px, before it was resized (with --crop: after cropping)"
     ),
-    "--free": (
-        "NAMES",
-        f"what to fit, of {', '.join(FREE)}: pose is position and orientation, phi (or focal) and"
-        " d both set the focal length, distortion is all coefficients of the lens; the rest keeps"
-        " its starting value (default: %(default)s)",
-        {"type": _free, "default": "pose"},
+    "--free NAMES: free = pose": (
+        f"what to fit, of {', '.join(FREE)}: pose is position and orientation, phi (or"
+        " focal) and d both set the focal length, distortion is all coefficients of the"
+        " lens; the rest keeps its starting value (default: %(default)s)"
     ),
-    "--mask-from": ("HOW", "how to read masks, see below (default: from the picture itself)"),
-    "batch --mask-from": ("HOW", "as in `fit`"),
-    "--invert": ("", "MASK covers the background"),
-    "--tidy": ("", "drop crumbs and fill holes of MASK up to 1/200 of the object (else 1/1000)"),
-    "--no-tidy": ("", "take MASK as it is, with its crumbs and pinholes"),
-    "--track": ("", "fit in order, each from the last camera (frames of a video)"),
-    "--weight": ("IMAGE", "grey image: how much each pixel counts"),
-    "--image": ("PHOTO", "draw the outline on this (default: MASK)"),
-    "--images": ("PHOTO", "draw the outlines on these (default: MASKs)", {"nargs": "+"}),
-    "--refine": ("", "fit to the edges in the photos, too, where they are clear"),
-    "--report": ("PAGE.html", "write a page with pictures, errors, all formats"),
-    "hand-eye --report": ("PAGE.html", "write a page with all results"),
-    "--in-hand": ("LINK", "the link that carries the camera"),
-    "--leave-out": (
-        "LINKS",
-        "links that the masks do not show, with commas",
-        {"type": _names_in, "default": []},
+    "--mask-from HOW": "how to read masks, see below (default: from the picture itself)",
+    "batch --mask-from HOW": "as in `fit`",
+    "--invert": "MASK covers the background",
+    "--tidy": "drop crumbs and fill holes of MASK up to 1/200 of the object (else 1/1000)",
+    "--no-tidy": "take MASK as it is, with its crumbs and pinholes",
+    "--track": "fit in order, each from the last camera (frames of a video)",
+    "--weight IMAGE": "grey image: how much each pixel counts",
+    "--image PHOTO": "draw the outline on this (default: MASK)",
+    "--images PHOTO+": "draw the outlines on these (default: MASKs)",
+    "--refine": "fit to the edges in the photos, too, where they are clear",
+    "--report PAGE.html": "write a page with pictures, errors, all formats",
+    "hand-eye --report PAGE.html": "write a page with all results",
+    "--in-hand LINK": "the link that carries the camera",
+    "--leave-out LINKS: names = ": "links that the masks do not show, with commas",
+    "--joint-zeros SIGMA: float": (
+        "find the zeros of the turning joints, too, which are known to this many degrees"
     ),
-    "--joint-zeros": (
-        "SIGMA",
-        "find the zeros of the turning joints, too, which are known to this many degrees",
-        {"type": float},
+    "--split": ("fit two halves of MASK's outline (odd and even MASKs of a robot); compare them"),
+    "--holdout": "fit each half of the postures, too, and compare them",
+    "--propose JOINTS": (
+        "predict how much a mask in each of these postures would help (a file like JOINTS)"
     ),
-    "--split": (
-        "",
-        "fit two halves of MASK's outline (odd and even MASKs of a robot); compare them",
+    "--workers K: int": "processes (default: one a core)",
+    "--shard I/N = 1/1": "fit the I-th of N parts of DATASET alone",
+    "--resume": "fit the records that have no row in RESULTS yet",
+    "--retry STATUSES: names = ": "fit these anew, too: failed,timed_out,crashed",
+    "--time-limit SECONDS: float = 600": (
+        "most time for one record, 0: no limit (default: %(default)s)"
     ),
-    "--holdout": ("", "fit each half of the postures, too, and compare them"),
-    "--propose": (
-        "JOINTS",
-        "predict how much a mask in each of these postures would help (a file like JOINTS)",
-    ),
-    "--workers": ("K", "processes (default: one a core)", {"type": int}),
-    "--shard": ("I/N", "fit the I-th of N parts of DATASET alone", {"default": "1/1"}),
-    "--resume": ("", "fit the records that have no row in RESULTS yet"),
-    "--retry": (
-        "STATUSES",
-        "fit these anew, too: failed,timed_out,crashed",
-        {"type": _names_in, "default": []},
-    ),
-    "--time-limit": (
-        "SECONDS",
-        "most time for one record, 0: no limit (default: %(default)g)",
-        {"type": float, "default": 600.0},
-    ),
-    "--merge": ("TABLE", "write all rows: .jsonl or .csv"),
-    "--write": ("ID CAMERA", "write a row's camera as any file that `convert` writes"),
-    "--start": ("", "start from BOP's poses, else search"),
-    "--models": ("FOLDER", "BOP's models (default: beside it)"),
-    "--detections": ("COCO.json", "masks instead of BOP's own"),
-    "--session": ("FILE", "continue a saved session"),
-    "--up": ("", "MESH's upward axis (default: y)", {"choices": ("x", "y", "z"), "default": "y"}),
-    "--mask": ("MASK", "begin with this mask"),
-    "--port": ("N", "(default: any that is free)", {"type": int, "default": 0}),
-    "--no-browser": ("", "print the address, open nothing"),
-    "--from": ("FORMAT", "(default: from IN)", {"dest": "source"}),
-    "--to": ("FORMAT", "(default: from OUT)", {"dest": "target"}),
-    "--size": (
-        "W H",
-        "image size in px, if IN has none (glTF, some NeRF files)",
-        {"type": int},
-    ),
-    "--verbose": ("", "report each step on stderr"),
-    "-o/--output": ("FOLDER", "(default: %(default)s)", {"default": "out"}),
-    "render -o/--output": ("IMAGE", "(default: %(default)s)", {"default": "mask.png"}),
-    "check -o/--output": ("CAMERA.json", "write where it is now"),
-    "batch -o/--output": ("RESULTS", "a folder", {"required": True}),
-    "--no-cache": ("", "do not keep compiled programs in the user's cache folder"),
+    "--merge TABLE": "write all rows: .jsonl or .csv",
+    "--write ID CAMERA": "write a row's camera as any file that `convert` writes",
+    "--start": "start from BOP's poses, else search",
+    "--models FOLDER": "BOP's models (default: beside it)",
+    "--detections COCO.json": "masks instead of BOP's own",
+    "--session FILE": "continue a saved session",
+    "--up {x,y,z} = y": "MESH's upward axis (default: y)",
+    "--mask MASK": "begin with this mask",
+    "--port N: int = 0": "(default: any that is free)",
+    "--no-browser": "print the address, open nothing",
+    "--from FORMAT": "(default: from IN)",
+    "--to FORMAT": "(default: from OUT)",
+    "--size W H: int": "image size in px, if IN has none (glTF, some NeRF files)",
+    "--verbose": "report each step on stderr",
+    "-o/--output FOLDER = out": "(default: %(default)s)",
+    "render -o/--output IMAGE = mask.png": "(default: %(default)s)",
+    "check -o/--output CAMERA.json": "write where it is now",
+    "batch -o/--output RESULTS!": "a folder",
+    "--no-cache": "do not keep compiled programs in the user's cache folder",
 }
+FORM = re.compile(r"((?:[a-z-]+ )?(?:[a-z]+|-\S+)) ?(.*?)([?*+!]?)(?:: (\w+))?(?: = (.*))?")
+FORMS = {
+    found[1]: (*found.groups()[1:], words)
+    for form, words in OPTIONS.items()
+    if (found := FORM.fullmatch(form))
+}
+TYPES = {None: str, "float": float, "int": int, "names": _names_in, "free": _free}
 #: The headings of the help, and the options below each; the others have none.
 GROUPS = {
     "camera": "--camera --K --fov --dist --pixel-centres --crop --resize --up --in-hand --start",
@@ -336,16 +308,17 @@ GROUPS = {
 HEADINGS = {option: title for title, options in GROUPS.items() for option in options.split()}
 #: Other names that the library has for what an option gives.
 ALIASES = {
-    "target": ("mask", "masks", "files"),
-    "mask": ("masks", "files"),
-    "scene": ("mesh",),
-    "phi": ("fov",),
-    "photo": ("image", "images"),
-    "cameras": ("camera",),
-    "lens": ("dist",),
-    "out": ("output",),
-    "items": ("dataset",),
-    "tidy": ("no_tidy",),
+    "mask": "target",
+    "masks": "target mask",
+    "files": "target mask",
+    "mesh": "scene",
+    "fov": "phi",
+    "image": "photo",
+    "images": "photo",
+    "camera": "cameras",
+    "dist": "lens",
+    "output": "out",
+    "dataset": "items",
 }
 
 
@@ -383,18 +356,15 @@ def _add(commands: Any, name: str, verb: Verb) -> None:
     """Add a command's parser."""
     text = f"{verb.description.rstrip()}\n\nexample: pinhole-jax {name} {verb.example}"
     own = commands.add_parser(name, help=verb.help, description=text, epilog=verb.epilog)
-    groups: dict[str, Any] = {}
-    actions = []
+    group_of, actions = cache(own.add_argument_group), []
     for part in verb.options.split():
         options = part.lstrip("!").split("|")
-        group = own
-        if title := HEADINGS.get(options[0]):
-            group = groups[title] = groups.get(title) or own.add_argument_group(title)
+        title = HEADINGS.get(options[0])
+        group: Any = group_of(title) if title else own
         if len(options) > 1:
             group = group.add_mutually_exclusive_group(required=part[0] == "!")
         for option in options:
-            keywords = _keywords(name, option)
-            actions.append(group.add_argument(*option.split("/"), **keywords))
+            actions.append(group.add_argument(*option.split("/"), **_keywords(name, option)))
     own.set_defaults(verbose=False, no_cache=name == "convert", own=own, names=_names(actions))
 
 
@@ -411,9 +381,11 @@ class _Parser(argparse.ArgumentParser):
 
 def _names(actions: Sequence[argparse.Action]) -> dict[str, str]:
     """Return the user's names of the library's arguments: `mesh` is MESH, `crop` is --crop."""
-    own = {x.dest: x.option_strings[-1] if x.option_strings else str(x.metavar) for x in actions}
-    other = {name: [own[dest] for dest in dests if dest in own] for name, dests in ALIASES.items()}
-    return {**{name: shown[0] for name, shown in other.items() if shown}, **own}
+    return {
+        name: action.option_strings[-1] if action.option_strings else str(action.metavar)
+        for action in actions
+        for name in (action.dest, *ALIASES.get(action.dest, "").split())
+    }
 
 
 def _suggestion(options: argparse.Namespace, unknown: Sequence[str]) -> str:
@@ -425,11 +397,14 @@ def _suggestion(options: argparse.Namespace, unknown: Sequence[str]) -> str:
 
 def _keywords(verb: str, option: str) -> dict[str, Any]:
     """Return the arguments of `add_argument` for a command's option."""
-    metavar, words, *more = OPTIONS.get(f"{verb} {option}", OPTIONS[option])
-    keywords: dict[str, Any] = {"help": words, **dict(*more)}
-    names = metavar.split()
+    metavar, mark, kind, default, words = FORMS.get(f"{verb} {option}", FORMS[option])
+    if not metavar:
+        return {"help": words, "action": "store_true"}
+    keywords = {"help": words, "type": TYPES[kind], "default": default}
+    if metavar[0] == "{":
+        return {**keywords, "choices": metavar[1:-1].split(",")}
+    names = tuple(metavar.split())
     if len(names) > 1:
-        return {**keywords, "metavar": tuple(names), "nargs": len(names)}
-    if names:
-        return {**keywords, "metavar": metavar}
-    return keywords if "choices" in keywords else {**keywords, "action": "store_true"}
+        return {**keywords, "metavar": names, "nargs": len(names)}
+    number = {"required": True} if mark == "!" else {"nargs": mark or None}
+    return {**keywords, "metavar": metavar, **number}

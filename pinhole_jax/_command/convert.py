@@ -11,13 +11,13 @@ from .outputs import say_written
 def run(options: argparse.Namespace, progress: Ticker) -> int:
     """Read and write; return 0."""
     size = None if options.size is None else (options.size[0], options.size[1])
-    with named(path="input", format="source"):
-        cameras = formats.read(options.input, options.source, size=size)
-    target = options.target or formats.guess_write(options.output)
+    with named(path="input", format="from"):
+        cameras = formats.read(options.input, getattr(options, "from"), size=size)
+    target = options.to or formats.guess_write(options.output)
     sizes = ", ".join(dict.fromkeys(f"{camera.W} x {camera.H}" for camera in cameras.values()))
     count = "1 camera" if len(cameras) == 1 else f"{len(cameras)} cameras"
     progress.done()
     words = f"{target}, {count}, {sizes}"
-    with say_written(options.output, words), named(path="output", format="target", cameras="input"):
-        formats.write(options.output, cameras, options.target)
+    with say_written(options.output, words), named(path="output", format="to", cameras="input"):
+        formats.write(options.output, cameras, options.to)
     return 0
