@@ -8,7 +8,7 @@ from results import NAMES, fit_at
 
 import pinhole_jax as pj
 from pinhole_jax._camera.poses import at_pose, exponential, inverse, pose_of
-from pinhole_jax._command.proposals import worths
+from pinhole_jax._command.hand_eye import worths
 
 
 def test_observability_of_a_rig_on_a_mount_equals_polygon_differences(scenes):

@@ -2,7 +2,6 @@
 about a typo appear at once."""
 
 import argparse
-import json
 import re
 import sys
 from collections.abc import Sequence
@@ -12,24 +11,22 @@ from typing import Any, NamedTuple, NoReturn
 
 from .. import __version__
 from .._files.native_library import is_switched_off, library_path
-from ..names import DISTORTIONS, FREE, STATUSES
+from ..names import FREE, STATUSES
 
 #: Numbers with commas between.
 NUMBERS = re.compile(r"(?i:[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?|[-+]?(nan|inf)|,)+")
-#: The models of a lens's distortion, with their coefficients, as a camera file has them.
-EXAMPLES = "\n  ".join(
-    json.dumps({"model": name, **dict.fromkeys(names, 0)}) for name, names in DISTORTIONS.items()
-)
 FILES = """\
 camera files are JSON with the parameters of Frisvad's note, world units and radians:
   {"e": [x, y, z], "p": [x, y, z], "u": [x, y, z], "phi": 0.6, "d": 1, "W": 256, "H": 256}
 eye e, view point p, up u, vertical field of view phi, camera constant d, resolution W x H; "lens"
 may add {"principal_point": [x, y], "aspect": 1} (px, origin at the bottom left, y up), and in it
 "distortion", one of OpenCV's models:
-  EXAMPLES
+  {"model": "BrownConrady", "k1": 0, "k2": 0, "p1": 0, "p2": 0, "k3": 0}
+  {"model": "Rational", "k1": 0, "k2": 0, "p1": 0, "p2": 0, "k3": 0, "k4": 0, "k5": 0, "k6": 0}
+  {"model": "Fisheye", "k1": 0, "k2": 0, "k3": 0, "k4": 0}
 Pictures are PNG, JPEG, TIFF, WebP, BMP or PNM. An output file replaces the one at its path;
 /dev/stdout and pipes are written to, other devices are refused.
-""".replace("EXAMPLES", EXAMPLES)
+"""
 MASKS = """\
 Masks are grey images (white is the object), or images whose transparency is the mask; --mask-from
 reads others:
@@ -390,9 +387,9 @@ def _names(actions: Sequence[argparse.Action]) -> dict[str, str]:
 
 def _suggestion(options: argparse.Namespace, unknown: Sequence[str]) -> str:
     """Return a question about the option that an unknown one looks like."""
-    names = [f"--{name.replace('_', '-')}" for name in vars(options)]
-    known = [near for word in unknown for near in get_close_matches(word, names, 1)]
-    return f" (did you mean {known[0]}?)" if known else ""
+    known = options.names.values()
+    near = [name for word in unknown for name in get_close_matches(word, known, 1)]
+    return f" (did you mean {near[0]}?)" if near else ""
 
 
 def _keywords(verb: str, option: str) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from .._files.naming import named
 from .._files.progress import Ticker
 from ..batch.inputs import read_mask, read_scene
 from ..names import STATUSES
-from .hand_eye import read_robot, read_views
+from .hand_eye import read_views
 from .options import record_of
 from .outputs import check_outputs, written_words
 
@@ -94,7 +94,7 @@ def _robot(options: argparse.Namespace, progress: Ticker) -> CheckData:
     if len(options.files) < 2:
         raise ValueError("`MASK`: expected JOINTS, and an image for each of its rows, got none")
     options.robot, (options.joints, *options.masks) = options.mesh, options.files
-    views = read_views(read_robot(options), options, progress.tell)
+    _, views = read_views(options, progress.tell)
     if options.split and len(views) < 2:
         raise ValueError("`split`: expected at least two views of a robot, got one")
     progress.say(f"fitting {len(views)} views (the first time compiles, some seconds)")

@@ -1,13 +1,13 @@
 """`pinhole-jax hand-eye`: the camera that sees a robot, from a URDF, joint angles and masks."""
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from .. import JointFit, JointView, fit_joint, split_check
+from .. import Camera, JointFit, JointView, fit_joint, joint_observability, split_check
 from .._files.naming import named
 from .._files.progress import Ticker
 from ..batch.inputs import poseless_camera, read_mask, read_photo, read_start
@@ -18,14 +18,12 @@ from ..show.robot_page import robot_page
 from .joints import joint_angles
 from .options import record_of
 from .outputs import check_outputs, write_results
-from .proposals import best_postures, worths
 
 
 def run(options: argparse.Namespace, progress: Ticker) -> int:
     """Fit, print and write; return 0, or 1 for a fit not to trust."""
     check_outputs(output=Path(options.output) / "camera.json", report=options.report)
-    robot = read_robot(options)
-    views = read_views(robot, options, progress.tell)
+    robot, views = read_views(options, progress.tell)
     masks = [np.asarray(view.target) for view in views]
     pictures = _pictures(options, masks)
     if options.holdout and len(views) < 2:
@@ -42,40 +40,34 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
     camera = known.camera or poseless_camera(known.phi, W, H, known.lens)
 
     progress.say(f"fitting {len(views)} views (the first time compiles, some seconds)")
-    search, zeros = known.camera is None, joint_zeros(options)
+    search, zeros = known.camera is None, _zeros(options)
     fit = fit_joint(views, camera, options.free, search=search, joint_zeros=zeros)
-    halves = None
+    more: dict[str, Any] = {}
     if options.holdout:
         refit = lambda half: fit_joint(half, fit.camera, options.free, joint_zeros=zeros)
-        halves = str(split_check(refit, (views[::2], views[1::2])))
+        more["halves"] = str(split_check(refit, (views[::2], views[1::2])))
     finite = fit.status != "non_finite"
-    helpful = None
     if proposed is not None and finite:
-        best = fit.cameras["camera"].camera
-        helpful = best_postures(worths(views, best, options.free, proposed, zeros))
+        factors = worths(views, fit.camera, options.free, proposed, zeros)
+        more["proposed"] = best_postures(factors)
 
     progress.done()
     print(fit)
     if finite:
         print(object_pose(fit.cameras["camera"], pixel_centres=options.pixel_centres))
-    if halves is not None:
-        print(f"halves     {halves}")
-    if helpful is not None:
-        print(f"proposed   {helpful}")
-    _write(options, fit, masks, pictures, halves, helpful)
+    for name, words in more.items():
+        print(f"{name:11}{words}")
+    _write(options, fit, masks, pictures, more)
     return 0 if fit.status == "converged" else 1
 
 
-def read_robot(options: argparse.Namespace) -> Robot:
-    """Return the robot of a file (`robot`), without some links (`leave_out`)."""
-    with named(path="ROBOT"):
-        return load_urdf(options.robot, options.leave_out)
-
-
 def read_views(
-    robot: Robot, options: argparse.Namespace, say: Callable[[str], Any]
-) -> list[JointView]:
-    """Return the views of a robot in the postures of a file (`joints`), with `masks`."""
+    options: argparse.Namespace, say: Callable[[str], Any]
+) -> tuple[Robot, list[JointView]]:
+    """Return a file's robot (`robot`), without some links (`leave_out`), and its views: `masks` of
+    the postures in a file (`joints`)."""
+    with named(path="ROBOT"):
+        robot = load_urdf(options.robot, options.leave_out)
     views = _views(robot, options, options.joints, "JOINTS")
     if len(views) != len(options.masks):
         raise ValueError(
@@ -83,10 +75,10 @@ def read_views(
             f" {len(options.masks)}"
         )
     masks = (read_mask(record_of(options, mask=x), say) for x in options.masks)
-    return [view._replace(target=mask) for view, mask in zip(views, masks, strict=True)]
+    return robot, [view._replace(target=mask) for view, mask in zip(views, masks, strict=True)]
 
 
-def joint_zeros(options: argparse.Namespace) -> float | None:
+def _zeros(options: argparse.Namespace) -> float | None:
     """Return the sigma (rad) of the joints' zeros; None: they are exact."""
     degrees = getattr(options, "joint_zeros", None)
     if degrees is None:
@@ -100,17 +92,17 @@ def joint_zeros(options: argparse.Namespace) -> float | None:
 
 def _views(robot: Robot, options: argparse.Namespace, path: str, option: str) -> list[JointView]:
     """Return the views, without masks, of a robot in the postures of an option's file."""
+    link, views = options.in_hand, []
     with named(path=option, angles=option):
-        return [_view(robot, angles, options) for angles in joint_angles(path, robot)]
-
-
-def _view(robot: Robot, angles: dict[str, float], options: argparse.Namespace) -> JointView:
-    link, poses = options.in_hand, robot.poses(angles)
-    if link is not None and link not in poses:
-        raise ValueError(f"`in_hand`: expected a link among {', '.join(poses)}, got {link!r}")
-    mount = None if link is None else poses[link]
-    posture = None if joint_zeros(options) is None else robot.posture(angles)
-    return JointView(robot.scene_at(poses), None, mount=mount, posture=posture)
+        for angles in joint_angles(path, robot):
+            poses = robot.poses(angles)
+            if link is not None and link not in poses:
+                words = f"expected a link among {', '.join(poses)}, got {link!r}"
+                raise ValueError(f"`in_hand`: {words}")
+            posture = None if _zeros(options) is None else robot.posture(angles)
+            mount = None if link is None else poses[link]
+            views.append(JointView(robot.scene_at(poses), None, mount=mount, posture=posture))
+    return views
 
 
 def _pictures(options: argparse.Namespace, masks: list[np.ndarray]) -> list[np.ndarray]:
@@ -131,10 +123,9 @@ def _write(
     fit: JointFit,
     masks: list[np.ndarray],
     pictures: list[np.ndarray],
-    halves: str | None,
-    proposed: str | None,
+    more: dict[str, Any],
 ) -> None:
-    """Write the camera, each picture with the outline on it, and the page."""
+    """Write the camera, each picture with the outline on it, and the page, with `more` sections."""
     finite = fit.status != "non_finite"
     with Ticker("drawing"):
         drawings = {
@@ -143,6 +134,41 @@ def _write(
             if finite
         }
     names, frame = [Path(name).name for name in options.masks], options.in_hand or "the base"
-    known = {"halves": halves, "proposed": proposed, "pixel_centres": options.pixel_centres}
-    page = lambda: robot_page(fit, masks, pictures, names, frame=frame, **known)
+    more = {"frame": frame, "pixel_centres": options.pixel_centres, **more}
+    page = lambda: robot_page(fit, masks, pictures, names, **more)
     write_results(options, fit.cameras["camera"]._replace(status=fit.status), drawings, page)
+
+
+# Postures in which one more mask would help.
+
+
+def worths(
+    views: Sequence[JointView],
+    camera: Camera,
+    free: str,
+    proposed: Sequence[JointView],
+    joint_zeros: float | None = None,
+) -> list[float]:
+    """Return the factor by which one more mask of each proposed view would reduce the standard
+    errors of the camera's pose (their geometric mean), by `joint_observability`.
+
+    It is infinite if the masks of `views` do not determine the pose and one more would.
+    """
+
+    def size(views: Sequence[JointView]) -> float:
+        found = joint_observability(views, camera, free, joint_zeros=joint_zeros)
+        pose = [name.startswith(("camera rotation_", "camera e_")) for name in found.names]
+        covariance = found.covariance[np.ix_(pose, pose)]
+        if not np.all(np.isfinite(covariance)):
+            return np.inf
+        return abs(float(np.linalg.det(covariance))) ** (0.5 / len(covariance))
+
+    before, after = size(views), [size([*views, view]) for view in proposed]
+    return [before / x if x < before else 1.0 for x in after]
+
+
+def best_postures(factors: Sequence[float]) -> str:
+    """Return a sentence on the proposed postures that would help most, the best first."""
+    best = sorted(range(len(factors)), key=lambda k: -factors[k])
+    each = ", ".join(f"row {k + 1} {factors[k]:.2f}" for k in best[:5])
+    return f"one more mask would divide the standard errors of the pose by: {each}"

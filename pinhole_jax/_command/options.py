@@ -8,10 +8,9 @@ from ..batch.records import FIELDS
 
 def record_of(options: argparse.Namespace, **more: Any) -> dict[str, Any]:
     """Return the fields of a record that the options give, and `more` of them."""
-    given = {name: getattr(options, name, None) for name in FIELDS if name != "start"}
-    record = {name: x for name, x in given.items() if x is not None and x is not False}
-    if getattr(options, "image", None) is not None:
-        record["photo"] = options.image
-    if getattr(options, "no_tidy", False):
+    given = {**vars(options), "start": None}
+    given.setdefault("photo", given.get("image"))
+    record = {n: x for n in FIELDS if (x := given.get(n)) is not None and x is not False}
+    if given.get("no_tidy"):
         record["tidy"] = False
     return record | more

@@ -7,7 +7,7 @@ from typing import TypeVar
 
 import jax
 
-from .machine import usable_cores
+from .._files.machine import usable_cores
 
 X = TypeVar("X")
 Y = TypeVar("Y")

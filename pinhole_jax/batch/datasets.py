@@ -137,8 +137,8 @@ def _bop_records(
 
 def _pose(label: Any) -> list[list[float]]:
     """Return the labelled pose of an object, 4 x 4."""
-    R, t = label.array("cam_R_m2c", (9,)).reshape(3, 3), label.array("cam_t_m2c", (3,))
-    return [*([*row, x] for row, x in zip(R.tolist(), t.tolist(), strict=True)), [0, 0, 0, 1]]
+    R, t = (label.array(name, (n,)) for name, n in (("cam_R_m2c", 9), ("cam_t_m2c", 3)))
+    return [*([*R[3 * k : 3 * k + 3], t[k]] for k in range(3)), [0, 0, 0, 1]]
 
 
 def _detections(path: FilePath) -> dict[str, dict[str, list[dict[str, Any]]]]:

@@ -8,6 +8,7 @@ from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExe
 from functools import partial
 from typing import Any
 
+from .._files.machine import usable_cores
 from . import worker
 from .records import Record
 from .rows import Row, empty_row
@@ -36,7 +37,7 @@ def rows_of(
     waiting = iter(records)
     own: list[_Worker] = []
     if executor is None:
-        first = [*itertools.islice(waiting, workers or worker.usable_cores())]
+        first = [*itertools.islice(waiting, workers or usable_cores())]
         waiting = itertools.chain(first, waiting)
         setup = setup._replace(workers=len(first))
         own = [_Worker(setup, number) for number in range(len(first))]

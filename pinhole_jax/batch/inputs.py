@@ -97,10 +97,9 @@ def read_photo(path: str, mask: np.ndarray) -> np.ndarray:
 
 def read_scene(path: str, say: Say) -> pj.Scene:
     """Return the mesh of a file, which is kept as long as the file stays the same."""
-    try:
+    changed = 0.0
+    with contextlib.suppress(OSError, TypeError, ValueError):  # its reader says why
         changed = os.stat(path).st_mtime
-    except (OSError, TypeError, ValueError):
-        changed = 0.0  # its reader says why
     with named(path="mesh", vertices="mesh"), _reading:
         scene, notes = _scene(path, changed)
     for note in notes:
@@ -168,26 +167,18 @@ def poseless_camera(phi: Any, W: int, H: int, lens: pj.Lens | None = None) -> pj
 
 def _window(record: Record, size: Size) -> tuple[float, float, int, int]:
     """Return the mask's window (left, top, W, H) in the picture, before it was resized."""
-    W, H = size
-    if "resize" in record:
-        W, H = _pixel_size("resize", *numbers_of("resize", record["resize"], 2))
-    if "crop" not in record:
-        return 0.0, 0.0, W, H
-    left, top, *sides = numbers_of("crop", record["crop"], 4)
-    w, h = _pixel_size("crop", *sides)
+    W, H = numbers_of("resize", record.get("resize", size), 2)
+    left, top, w, h = numbers_of("crop", record.get("crop", (0, 0, W, H)), 4)
+    for field, sides in (("resize", (W, H)), ("crop", (w, h))):
+        if min(sides) < 1 or any(side % 1 for side in sides):
+            words = f"expected a width and height in px, got {sides[0]:g} x {sides[1]:g}"
+            raise ValueError(f"`{field}`: {words}")
     if (w, h) != (W, H):
         raise ValueError(
-            f"`crop`: expected the size of the mask or of `resize`, {W} x {H}, got {w} x {h}; if"
-            f" the mask was resized after that, add `resize` {w} {h}"
+            f"`crop`: expected the size of the mask or of `resize`, {W:g} x {H:g}, got {w:g} x"
+            f" {h:g}; if the mask was resized after that, add `resize` {w:g} {h:g}"
         )
-    return left, top, w, h
-
-
-def _pixel_size(field: str, W: float, H: float) -> Size:
-    """A width and height as integers, or raise ValueError unless both are whole and positive."""
-    if W % 1 or H % 1 or min(W, H) < 1:
-        raise ValueError(f"`{field}`: expected a width and height in px, got {W:g} x {H:g}")
-    return int(W), int(H)
+    return left, top, int(w), int(h)
 
 
 def _file_camera(record: Record, size: Size) -> pj.Camera:
@@ -200,7 +191,7 @@ def _file_camera(record: Record, size: Size) -> pj.Camera:
 
 def _K_camera(record: Record, size: Size) -> pj.Camera:
     """Return the camera of `K`, `dist`, `pixel_centres` and `start`; at the origin without."""
-    K, centres, distortion, pose = record["K"], setting(record, "pixel_centres"), None, np.eye(4)
+    K, centres, distortion = record["K"], setting(record, "pixel_centres"), None
     if "dist" in record:
         numbers = numbers_of("dist", record["dist"], 4, 5, 8)
         distortion = (pj.Rational if len(numbers) == 8 else pj.BrownConrady)(*numbers)
@@ -216,13 +207,10 @@ def _K_camera(record: Record, size: Size) -> pj.Camera:
         if len(matrix) == 4:
             fx, fy, cx, cy = matrix
             matrix = [fx, 0, cx, 0, fy, cy, 0, 0, 1]
-    if "start" in record:
-        pose = np.reshape(numbers_of("start", record["start"], 16), (4, 4))
-    matrix, R, t = np.reshape(matrix, (3, 3)), pose[:3, :3], pose[:3, 3]
+    pose = np.reshape(numbers_of("start", record.get("start", np.eye(4)), 16), (4, 4))
+    posed = np.reshape(matrix, (3, 3)), pose[:3, :3], pose[:3, 3]
     with named(lens="dist", R="start", t="start"):
-        return pj.formats.from_opencv(
-            matrix, R, t, *size, pixel_centres=centres, distortion=distortion
-        )
+        return pj.formats.from_opencv(*posed, *size, pixel_centres=centres, distortion=distortion)
 
 
 def numbers_of(name: str, value: Any, *counts: int) -> list[float]:

@@ -50,12 +50,11 @@ DEFAULTS: dict[str, Any] = {
 TYPES: dict[str, Any] = {"invert": bool, "tidy": bool | float}
 
 
-def check_record(record: Any) -> dict[str, Any]:
-    """Return a record as a dict of plain values, with paths as texts.
+def check_record(record: Record) -> dict[str, Any]:
+    """Return a record with an `id` as a dict of plain values, with paths as texts.
 
     Raises ValueError naming the field that is missing, unknown, or not what it should be.
     """
-    check_id(record)
     if unknown := [name for name in record if name not in FIELDS]:
         known = ", ".join(FIELDS)
         raise ValueError(f"`item`: expected fields among {known}, got {unknown[0]!r}")

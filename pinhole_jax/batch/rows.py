@@ -61,9 +61,8 @@ def line_of(row: Row) -> str:
 def row_of(line: str) -> Row:
     """Return the row of `line_of`'s line."""
     row = json.loads(line)
-    for name, value in row.items():
-        if value is not None and COLUMNS.get(name) is float:
-            row[name] = float(value)
-        elif value is not None and COLUMNS.get(name) == list[float]:
-            row[name] = [float(x) for x in value]
+    readers = {float: float, list[float]: lambda numbers: [*map(float, numbers)]}
+    for name, kind in COLUMNS.items():
+        if kind in readers and row.get(name) is not None:
+            row[name] = readers[kind](row[name])
     return row

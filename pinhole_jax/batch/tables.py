@@ -4,9 +4,10 @@ import csv
 import json
 import math
 import re
+from collections import Counter
 from collections.abc import Iterator
-from io import StringIO
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pinhole_jax as pj
@@ -16,12 +17,15 @@ from ..names import STATUSES
 from .parts import Results, write_lines
 from .rows import NO_FIT, Row, line_of
 
-#: A CSV's columns for numbers in a row's lists: the list and the number's place in it.
+#: A CSV's first columns, and those for numbers in a row's lists: the list and the place in it.
+FIRST = ("id", "status", "iou", "rms")
 NUMBERS = {
-    **dict(zip(("fx", "fy", "cx", "cy"), (("K", k) for k in (0, 4, 2, 5)), strict=True)),
+    **{name: ("K", k) for name, k in {"fx": 0, "fy": 4, "cx": 2, "cy": 5}.items()},
     **{f"R{k // 3 + 1}{k % 3 + 1}": ("R", k) for k in range(9)},
     **{f"t{axis}": ("t", k) for k, axis in enumerate("xyz")},
 }
+#: An id of a BOP data set ends with a scene, an image, an object and a number.
+BOP = re.compile(r"(.*/)?\d+/\d+/\d+/\d+")
 #: The first words of parameters in rad.
 ANGLES = ("rotation", "phi")
 
@@ -49,52 +53,44 @@ def merge(results: Results, path: FilePath) -> int:
     if ending == ".jsonl":
         return write_lines(path, map(line_of, results))
     ids = results.ids()
-    table = _bop_table if ids and all(map(_is_bop, ids)) else _flat_table
-    return write_lines(path, map(_csv_line, table(results))) - 1
-
-
-def _csv_line(values: list[Any]) -> str:
-    line = StringIO()
-    csv.writer(line, lineterminator="").writerow(values)
-    return line.getvalue()
+    table = _bop_table if ids and all(map(BOP.fullmatch, ids)) else _flat_table
+    as_text: Any = SimpleNamespace(write=str)  # a writer's lines are what this returns
+    line = csv.writer(as_text, lineterminator="").writerow
+    return write_lines(path, map(line, table(results))) - 1
 
 
 def _flat_table(results: Results) -> Iterator[list[Any]]:
     sigmas = [*dict.fromkeys(name for row in results for name in row["names"] or ())]
     names = [*NUMBERS, *(f"sigma_{name}{'_rad' * name.startswith(ANGLES)}" for name in sigmas)]
-    yield ["id", "status", "iou", "rms", *names, "words"]
+    yield [*FIRST, *names, "words"]
     for row in sorted(results, key=_distrust):
         numbers = [row[field][k] if row[field] else None for field, k in NUMBERS.values()]
-        std = dict(zip(row["names"] or (), row["std"] or (), strict=True))
-        first = [row[name] for name in ("id", "status", "iou", "rms")]
-        yield [*first, *numbers, *map(std.get, sigmas), row["words"]]
+        yield [*map(row.get, FIRST), *numbers, *map(_std(row).get, sigmas), row["words"]]
 
 
 def _distrust(row: Row) -> tuple[int, float]:
     """Return the sorting key of a row: less trustworthy rows come later."""
-    known = [*STATUSES, *NO_FIT]
-    named = zip(row["names"] or (), row["std"] or (), strict=True)
-    turns = [std for name, std in named if name.startswith("rotation")]
-    return known.index(row["status"]), max(turns, default=math.inf)
+    turns = [std for name, std in _std(row).items() if name.startswith("rotation")]
+    return [*STATUSES, *NO_FIT].index(row["status"]), max(turns, default=math.inf)
 
 
-def _is_bop(id: str) -> bool:
-    """Return True for an id that ends with a scene, an image, an object and a number."""
-    return bool(re.search(r"(^|/)\d+/\d+/\d+/\d+$", id))
+def _std(row: Row) -> dict[str, float]:
+    """Return a row's standard errors by name."""
+    return dict(zip(row["names"] or (), row["std"] or (), strict=True))
 
 
 def _bop_table(results: Results) -> Iterator[list[Any]]:
     """Yield BOP's results; each line has the time of its whole image, as BOP's tools require."""
-    seconds: dict[Any, float] = {}
+    seconds: Counter[tuple[int, int]] = Counter()
     place = lambda row: [*map(int, row["id"].split("/")[-4:])]
     with_camera = lambda: ((place(row), row) for row in results if row["R"])
     for (scene, image, *_), row in with_camera():
-        seconds[scene, image] = seconds.get((scene, image), 0.0) + row["seconds"]
-    numbers = lambda values: " ".join(repr(float(x)) for x in values)
+        seconds[scene, image] += row["seconds"]
     yield ["scene_id", "im_id", "obj_id", "score", "R", "t", "time"]
     for (scene, image, object_, _), row in with_camera():
         time = f"{seconds[scene, image]:.6f}"
-        yield [scene, image, object_, row["iou"], numbers(row["R"]), numbers(row["t"]), time]
+        R, t = (" ".join(map(repr, row[name])) for name in "Rt")
+        yield [scene, image, object_, row["iou"], R, t, time]
 
 
 def fit_of(row: Row) -> "pj.Fit":

@@ -53,11 +53,6 @@ class TimeLimit(BaseException):
     """A record took too long. (No `Exception`, which readers catch.)"""
 
 
-def usable_cores() -> int:
-    """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def begin(setup: Setup, number: int) -> None:
     """Set up worker `number`: it takes its share of the cores, and leaves Ctrl-C to the caller."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -103,21 +98,12 @@ def _within(seconds: float | None) -> Iterator[None]:
     if seconds is None:
         yield
         return
-    thread, over, lock = threading.get_ident(), threading.Event(), threading.Lock()
-
-    def stop() -> None:
-        with lock:
-            if not over.is_set():
-                ctypes.pythonapi.PyThreadState_SetAsyncExc(
-                    ctypes.c_ulong(thread), ctypes.py_object(TimeLimit)
-                )
-
-    timer = threading.Timer(seconds, stop)
+    what = ctypes.c_ulong(threading.get_ident()), ctypes.py_object(TimeLimit)
+    timer = threading.Timer(seconds, ctypes.pythonapi.PyThreadState_SetAsyncExc, what)
     timer.daemon = True
     timer.start()
     try:
         yield
     finally:
         timer.cancel()
-        with lock:
-            over.set()
+        timer.join()  # what it raises arrives here, not later

@@ -1,4 +1,4 @@
-"""The machine."""
+"""The machine that a process runs on."""
 
 import os
 
