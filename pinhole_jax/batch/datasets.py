@@ -137,8 +137,12 @@ def _bop_records(
 
 def _pose(label: Any) -> list[list[float]]:
     """Return the labelled pose of an object, 4 x 4."""
-    R, t = (label.array(name, (n,)) for name, n in (("cam_R_m2c", 9), ("cam_t_m2c", 3)))
-    return [*([*R[3 * k : 3 * k + 3], t[k]] for k in range(3)), [0, 0, 0, 1]]
+    import numpy as np  # counts the cores
+
+    pose = np.eye(4)
+    pose[:3, :3] = label.array("cam_R_m2c", (9,)).reshape(3, 3)
+    pose[:3, 3] = label.array("cam_t_m2c", (3,))
+    return pose.tolist()
 
 
 def _detections(path: FilePath) -> dict[str, dict[str, list[dict[str, Any]]]]:
@@ -183,7 +187,7 @@ def _rows(path: Path, is_csv: bool) -> Iterator[dict[str, Any]]:
             raise ValueError(f"`path`: expected {kind} of {str(path)!r}: {error}") from None
 
 
-def _cell_value(name: str, cell: str) -> Any:
+def _cell_value(name: str, cell: Any) -> Any:
     """Return the value of a CSV's cell: JSON where it is JSON and the field no text."""
     if name != "id" and (name not in PATHS or cell[0] in "{["):
         with contextlib.suppress(AttributeError, RecursionError, ValueError):
