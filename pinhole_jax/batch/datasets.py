@@ -135,14 +135,12 @@ def _bop_records(
                 }
 
 
-def _pose(label: Any) -> list[list[float]]:
+def _pose(label: Any) -> list[Any]:
     """Return the labelled pose of an object, 4 x 4."""
     import numpy as np  # counts the cores
 
-    pose = np.eye(4)
-    pose[:3, :3] = label.array("cam_R_m2c", (9,)).reshape(3, 3)
-    pose[:3, 3] = label.array("cam_t_m2c", (3,))
-    return pose.tolist()
+    R, t = label.array("cam_R_m2c", (9,)).reshape(3, 3), label.array("cam_t_m2c", (3,))
+    return [*np.c_[R, t].tolist(), [0, 0, 0, 1]]
 
 
 def _detections(path: FilePath) -> dict[str, dict[str, list[dict[str, Any]]]]:
