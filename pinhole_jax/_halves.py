@@ -15,7 +15,8 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from jaxtyping import Float
 
-from ._camera.poses import Pose, adjoint, inverse, moved, pose_of, skew
+from ._camera.axes import skew
+from ._camera.poses import Pose, adjoint, inverse, moved, pose_of
 from ._fit.drift import POSE, squared_sigmas
 from ._fit.result import CameraResult, MaskError, Result
 from ._fit.words import UNIT

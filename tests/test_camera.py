@@ -139,11 +139,11 @@ test_bad_poses_are_refused = refuses(
     PLAIN.with_pose,
     {"eye": [1.0, 2, 3], "axes": np.diag([1.0, 1, -1])},
     {
-        "`eye`: expected finite numbers of shape": {"eye": [1.0, 2]},
-        "`eye`: expected finite numbers": {"eye": [1.0, 2, np.inf]},
-        r"`axes`: expected shape \(3, 3\)": {"axes": np.eye(2)},
+        r"`eye`: expected a real array of shape \(3,\), got shape \(2,\)": {"eye": [1.0, 2]},
+        "`eye`: expected finite values, got inf": {"eye": [1.0, 2, np.inf]},
+        r"`axes`: expected a real array of shape \(3, 3\)": {"axes": np.eye(2)},
         "`axes`: expected unit vectors right, up, forward": {"axes": np.eye(3)},
-        "`axes`: expected unit vectors": {"axes": np.full((3, 3), np.nan)},
+        "`axes`: expected finite values, got nan": {"axes": np.full((3, 3), np.nan)},
     },
 )
 

@@ -7,8 +7,7 @@ from chosen import on_cpu
 
 import pinhole_jax as pj
 from pinhole_jax import plot
-from pinhole_jax._camera.bent import bent, straightened
-from pinhole_jax._camera.camera import camera_coordinates
+from pinhole_jax._camera.camera import bent
 
 LENS = pj.Lens([23.0, 21.0], 1.0, pj.BrownConrady(0.1, 0.02, 1e-3, -2e-3, 0.0))
 PLAIN = pj.Camera([0.3, 0.2, 4.0], [0.1, 0, 0], [0, 1, 0], 0.7, 1.0, 48, 40)
@@ -36,9 +35,8 @@ def test_further_numbers_of_points_and_pixels_compile_nothing(compiled):
         points = RANDOM.standard_normal((n, 3))
         pj.project(PLAIN.replace(W=n, H=2 * n), points)
         pj.project(BENT, points.reshape(1, n, 3))
-        camera_coordinates(PLAIN, points)
         bent(BENT, points[:, :2])
-        straightened(BENT, points[:, :2])
+        pj.rays_through(BENT, points[:, :2])
         rays = pj.Rays(np.asarray(PLAIN.e), points)
         pj.trace(scene, rays)
         pj.occluded(scene, rays)

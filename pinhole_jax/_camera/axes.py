@@ -15,15 +15,15 @@ def axes_of(camera: Camera) -> Float[np.ndarray, "3 3"]:
     """Return the camera's axes as rows: right, up, forward."""
     e, p, u = (np.asarray(x, float) for x in (camera.e, camera.p, camera.u))
     v = (p - e) / np.linalg.norm(p - e)
-    b1 = _cross(v, u)
+    b1 = skew(v) @ u  # np.cross takes fifty times as long
     b1 /= np.linalg.norm(b1)
-    return np.array([b1, _cross(b1, v), v])
+    return np.array([b1, skew(b1) @ v, v])
 
 
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the cross product of vectors (3,): fifty times as fast as NumPy's, of any shape."""
-    (a0, a1, a2), (b0, b1, b2) = a, b
-    return np.array([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
+def skew(vector: np.ndarray) -> np.ndarray:
+    """Return the matrix (3, 3) of a cross product with a vector."""
+    x, y, z = vector
+    return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
 
 
 def angle(a: Camera, b: Camera) -> float:

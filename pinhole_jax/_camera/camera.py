@@ -21,6 +21,7 @@ THE CONVENTIONS
 
 import operator
 from dataclasses import replace
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -29,13 +30,21 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from .._numerics.arrays import MISSING, ArrayLike, Input, float_array, float_dtype, is_concrete
+from .._numerics.arrays import (
+    MISSING,
+    ArrayLike,
+    Input,
+    checked,
+    float_array,
+    float_dtype,
+    is_concrete,
+)
 from .._numerics.pointwise import pointwise
 from .._numerics.safe import cross_of_difference, norm, normalize
 from .distortion import Distortion
 from .film import Bend, FilmMap, FilmPart
 from .lens import Lens, check_lens
-from .matrices import Centres, from_matrices, is_rotation
+from .matrices import Centres, as_intrinsics, as_rigid, half_pixel, is_rotation
 
 #: Pixels are counted in 32 bits, with a margin around the film.
 MOST_PIXELS = 1 << 30
@@ -207,10 +216,16 @@ class Camera(eqx.Module):
         seen = pj.Camera.from_K(K, np.eye(3), [0, 0, 5], 96, 80, pixel_centres="half")
         ```
         """
-        W, H = resolution("W", W), resolution("H", H)
-        pose, (phi, centre, aspect), centred = from_matrices(K, R, t, W, H, pixel_centres)
-        lens = None if centred and distortion is None else Lens(centre, aspect, distortion)
-        return cls(*pose, phi, d, W, H, lens)
+        W, H, half = resolution("W", W), resolution("H", H), half_pixel(pixel_centres)
+        k, (r, shift) = as_intrinsics(K, W, H), as_rigid(R, t)
+        traced = not is_concrete(k, r, shift)
+        xp: ModuleType = jnp if traced else np  # NumPy's float64: the parameters are rounded once
+        centre = xp.stack([k[0, 2] + half, H - (k[1, 2] + half)])  # film coordinates: y up
+        aspect, phi, eye = k[0, 0] / k[1, 1], 2 * xp.arctan(H / (2 * k[1, 1])), -r.T @ shift
+        centred = not traced and np.allclose(centre, (W / 2, H / 2), rtol=0, atol=1e-9)
+        plain = centred and abs(aspect - 1) < 1e-12 and distortion is None
+        lens = None if plain else Lens(centre, aspect, distortion)
+        return cls(eye, eye + r[2], -r[1], phi, d, W, H, lens)
 
     def with_focal(self, focal_px: Input[ArrayLike, "px"]) -> "Camera":
         """Return the camera with another focal length in px, all else as it is.
@@ -243,8 +258,11 @@ class Camera(eqx.Module):
         above = camera.with_pose([0, 4, 0], [[1, 0, 0], [0, 0, -1], [0, -1, 0]])
         ```
         """
-        eye, axes = np.asarray(eye, float), np.asarray(axes, float)
-        _check_pose(eye, axes)
+        eye = np.asarray(checked("eye", eye, (3,), np.dtype(float)), float)
+        axes = np.asarray(checked("axes", axes, (3, 3), np.dtype(float)), float)
+        if not is_rotation(axes * [[1], [-1], [1]]):  # right, down, forward
+            words = f"expected unit vectors right, up, forward, got {axes.tolist()}"
+            raise ValueError(f"`axes`: {words}")
         far = float(np.linalg.norm(np.asarray(self.p, float) - np.asarray(self.e, float)))
         pose = [jnp.asarray(x, self.e.dtype) for x in (eye, eye + far * axes[2], axes[1])]
         return eqx.tree_at(lambda c: [c.e, c.p, c.u], self, pose)
@@ -258,24 +276,15 @@ class ResizableCamera(eqx.Module):
     u: Float[Array, "3"]
     phi: Float[Array, ""]
     d: Float[Array, ""]
-    size: Float[Array | np.ndarray, "2"]
+    W: Any
+    H: Any
     lens: Lens | None
 
     @classmethod
     def from_camera(cls, camera: Camera) -> "ResizableCamera":
         """The same camera."""
         size = np.array([camera.W, camera.H], camera.e.dtype)
-        return cls(camera.e, camera.p, camera.u, camera.phi, camera.d, size, camera.lens)
-
-    @property
-    def W(self) -> Any:
-        """The number of columns."""
-        return self.size[0]
-
-    @property
-    def H(self) -> Any:
-        """The number of rows."""
-        return self.size[1]
+        return cls(camera.e, camera.p, camera.u, camera.phi, camera.d, *size, camera.lens)
 
     @property
     def distortion(self) -> Distortion | None:
@@ -367,40 +376,21 @@ def principal_point(camera: AnyCamera) -> Float[Array, "2"]:
     """Return the view axis's point on the film, in film coordinates (px)."""
     if camera.lens is not None:
         return camera.lens.principal_point
+    middle = camera.W / 2, camera.H / 2
     if isinstance(camera, ResizableCamera):
-        return jnp.asarray(camera.size / 2)
-    middle = np.array([camera.W / 2, camera.H / 2], camera.e.dtype)
-    return jnp.asarray(middle, middle.dtype)
+        return jnp.stack(middle)
+    return jnp.asarray(np.array(middle, camera.e.dtype))
 
 
-def to_camera(camera: AnyCamera, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
-    """Return world points in camera coordinates: (right, up, forward) from the eye.
-
-    The eye (or the view point, if it is nearer) is subtracted before anything else, so a scene far
-    from the origin or from the eye loses nothing more.
-    """
-    axes = jnp.stack(basis(camera.e, camera.p, camera.u))
-    far = norm(camera.p - camera.e)
-    base = jnp.stack([jnp.zeros_like(far), jnp.zeros_like(far), far])
-    return FilmMap(camera.e, camera.p, axes, base, 0, 0)(points)
-
-
-def camera_coordinates(camera: Camera, points: Float[Array | np.ndarray, "*batch 3"]) -> Array:
-    """Return `to_camera` by one program for any number of points."""
-    return _coordinates(ResizableCamera.from_camera(camera), points)
-
-
-_coordinates = pointwise(to_camera)
-
-
-def film_map(camera: Camera) -> FilmMap:
-    """Return the camera as a map to the film."""
-    b1, b2, v = camera_basis(camera)
+def film_map(camera: AnyCamera) -> FilmMap:
+    """Return the camera as a map to the film, whose size is 0 where that is data."""
+    b1, b2, v = basis(camera.e, camera.p, camera.u)
     fx, fy = focal_px(camera)
     centre = principal_point(camera)
     matrix = jnp.stack([fx * b1 + centre[0] * v, fy * b2 + centre[1] * v, v])
     base = jnp.append(centre, jnp.ones(1, centre.dtype)) * norm(camera.p - camera.e)
-    return FilmMap(camera.e, camera.p, matrix, base, camera.W, camera.H, bend(camera))
+    size = (camera.W, camera.H) if isinstance(camera, Camera) else (0, 0)
+    return FilmMap(camera.e, camera.p, matrix, base, *size, bend(camera))
 
 
 def bend(camera: AnyCamera) -> Bend | None:
@@ -409,6 +399,20 @@ def bend(camera: AnyCamera) -> Bend | None:
         return None
     distortion, centre = camera.lens.distortion, camera.lens.principal_point
     return Bend(distortion, distortion.trusted_radius(), jnp.stack(focal_px(camera)), centre)
+
+
+def bent(camera: Camera, points: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
+    """Return the distorted points (px) of ideal film points, any number of them by one program."""
+    if camera.distortion is None:
+        return points
+    points = np.asarray(points, camera.e.dtype)
+    return np.asarray(_bent(ResizableCamera.from_camera(camera), points), float)
+
+
+@pointwise
+def _bent(camera: ResizableCamera, points: Array) -> Array:
+    lens = bend(camera)
+    return points if lens is None else lens(points)
 
 
 def lens_holds(camera: AnyCamera, part: FilmPart) -> Bool[Array, ""]:
@@ -448,15 +452,6 @@ def _check_lens(camera: Camera) -> None:
         f"`lens`: expected a distortion that holds up to the film's corners, got a {model} whose"
         " image folds back, or shows 90 degrees from the axis, within the film"
     )
-
-
-def _check_pose(eye: np.ndarray, axes: np.ndarray) -> None:
-    if eye.shape != (3,) or not np.all(np.isfinite(eye)):
-        raise ValueError(f"`eye`: expected finite numbers of shape (3,), got {eye}")
-    if axes.shape != (3, 3):
-        raise ValueError(f"`axes`: expected shape (3, 3), got {axes.shape}")
-    if not is_rotation(axes * [[1], [-1], [1]]):  # right, down, forward
-        raise ValueError(f"`axes`: expected unit vectors right, up, forward, got {axes.tolist()}")
 
 
 def _check_view(e: np.ndarray, p: np.ndarray, u: np.ndarray) -> None:

@@ -68,9 +68,10 @@ class Distortion(eqx.Module):
         first = jnp.argmin(jnp.append(holds, jnp.zeros(1, bool)))
         return radii[jnp.maximum(first - 1, 0)]
 
+    @eqx.filter_jit
     def __call__(self, x: Float[Array, "*n"], y: Float[Array, "*n"]) -> tuple[Array, Array]:
         """Return the distorted points of ideal ones."""
-        return _distorted(self, x, y)
+        return self.continued(self.trusted_radius(), x, y)
 
     def continued(self, trusted: Array, x: Array, y: Array) -> tuple[Array, Array]:
         """Return the distorted points, by the formula up to a radius and straight on beyond it."""
@@ -102,9 +103,9 @@ class RadialTangential(Distortion):
     p2: Float[Array, ""]
     k3: Float[Array, ""]
 
-    @abc.abstractmethod
     def radial(self, s: Array) -> Array:
         """Return the radial factor at a squared radius."""
+        return 1 + _powers(s, self.k1, self.k2, self.k3)
 
     def polynomial(self, x: Array, y: Array) -> tuple[Array, Array]:
         """Return the distorted point by the formula. (OpenCV's, with y up.)"""
@@ -143,10 +144,6 @@ class BrownConrady(RadialTangential):
     ):
         _set_coefficients(self, k1, k2, p1, p2, k3)
 
-    def radial(self, s: Array) -> Array:
-        """Return the radial factor at a squared radius."""
-        return 1 + _powers(s, self.k1, self.k2, self.k3)
-
 
 class Rational(RadialTangential):
     """OpenCV's rational model (`CALIB_RATIONAL_MODEL`), in the order of its `distCoeffs`.
@@ -181,7 +178,7 @@ class Rational(RadialTangential):
 
     def radial(self, s: Array) -> Array:
         """Return the radial factor at a squared radius."""
-        return safe_divide(1 + _powers(s, self.k1, self.k2, self.k3), self._denominator(s))
+        return safe_divide(super().radial(s), self._denominator(s))
 
     def slope(self, radius: Array) -> Array:
         """Return a lower bound of the image's growth at a radius; -1 beyond a pole."""
@@ -285,16 +282,8 @@ def _solved(by_x: Array, by_y: Array, right: Array) -> Array:
     return jnp.stack([safe_divide(dx, det), safe_divide(dy, det)])
 
 
-# Each is one program: outside of `jit` a loop would be compiled at each call.
-
-
-@jax.jit
-def _distorted(model: Distortion, x: Array, y: Array) -> tuple[Array, Array]:
-    return model.continued(model.trusted_radius(), x, y)
-
-
 @jax.custom_jvp
-@jax.jit
+@jax.jit  # outside of other programs the loop would be compiled at each call
 def _undistorted(model: Distortion, x: Array, y: Array) -> tuple[Array, Array]:
     """Return the ideal points: Newton's method, from a table for the lens without p1 and p2.
 

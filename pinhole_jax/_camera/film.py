@@ -1,7 +1,7 @@
 """The film: homogeneous film points, a lens's bend, and the part of the film in view."""
 
 import functools
-from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._numerics.components import largest, parts
 from .._numerics.safe import binary_scale
 from .distortion import Distortion
 
@@ -48,16 +49,9 @@ class Bend(eqx.Module):
 
     def __call__(self, points: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
         """Distorted film points (px) of ideal ones."""
-        return self._mapped(functools.partial(self.distortion.continued, self.trusted), points)
-
-    def undone(self, points: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
-        """Ideal film points (px) of distorted ones."""
-        return self._mapped(self.distortion.undistorted, points)
-
-    def _mapped(self, way: Callable[[Array, Array], tuple[Array, Array]], points: Array) -> Array:
         x, y = ((points[..., k] - self.centre[k]) / self.focal[k] for k in range(2))
-        placed = [f * x + c for f, x, c in zip(self.focal, way(x, y), self.centre, strict=True)]
-        return jnp.stack(placed, axis=-1)
+        seen = self.distortion.continued(self.trusted, x, y)
+        return jnp.stack([seen[k] * self.focal[k] + self.centre[k] for k in range(2)], axis=-1)
 
     def around(self, part: FilmPart) -> Float[Array, "4"]:
         """An ideal rectangle (left, right, bottom, top) whose sides are seen outside of `part`.
@@ -119,22 +113,16 @@ class FilmMap(eqx.Module):
             limits = jnp.stack([left - width, right + width, bottom - height, top + height])
         else:
             limits = self.bend.around(part)
-        fields = (self.eye, self.view, self.matrix, self.base, self.W, self.H, self.bend)
-        return FilmMap(*fields, jax.lax.stop_gradient(limits))
+        return replace(self, limits=jax.lax.stop_gradient(limits))
 
     def __call__(self, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
         """Homogeneous film points (px times depth, depth) of world points."""
         raised = lambda x: x.reshape((1,) * (points.ndim - 1) + (3,))
         ways = points - raised(self.eye), points - raised(self.view)
-        far, near = (_largest(jax.lax.stop_gradient(way)) for way in ways)
+        far, near = (largest(parts(way))[..., None] for way in ways)
         there = near < far
         film = turned(self.matrix, jnp.where(there, ways[1], ways[0]))
         return film + jnp.where(there, raised(self.base), 0)
-
-
-def _largest(vectors: Float[Array, "*batch 3"]) -> Float[Array, "*batch 1"]:
-    """The largest component's size. (Component by component: see `turned`.)"""
-    return functools.reduce(jnp.maximum, [jnp.abs(vectors[..., k, None]) for k in range(3)])
 
 
 def turned(matrix: Float[Array, "3 3"], directions: Float[Array, "*batch 3"]) -> Array:

@@ -1,9 +1,7 @@
 """OpenCV's K, R and t as the note's parameters: x right, y down, z forward."""
 
-from types import ModuleType
 from typing import Literal
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
@@ -14,39 +12,43 @@ Centres = Literal["integer", "half"]
 #: A rotation matrix is orthogonal to this.
 ORTHOGONAL = 1e-4
 
-#: An array of NumPy's, or a traced one of JAX's; one number.
+#: An array of NumPy's, or a traced one of JAX's.
 Numbers = np.ndarray | Array
-Number = np.floating | Numbers
 
 
-def from_matrices(
-    K: ArrayLike, R: ArrayLike, t: ArrayLike, W: int, H: int, pixel_centres: object
-) -> tuple[tuple[Numbers, Numbers, Numbers], tuple[Number, Numbers, Number], bool]:
-    """Return the pose, the intrinsics, and True for those of a camera without a lens.
+def as_intrinsics(K: ArrayLike, W: int, H: int) -> Numbers:
+    """Return K (3, 3), in float64 unless traced.
 
-    The pose is (e, p, u), the intrinsics are phi (rad), the principal point in film coordinates
-    (px) and fx / fy. K and R are (3, 3), t is (3,) or (3, 1). In float64 unless traced: the
-    parameters are rounded once. Raises ValueError for matrices that make no camera.
+    Raises ValueError for skew, another last row, or focal lengths that are not positive.
     """
-    half = half_pixel(pixel_centres)
+    k = _real("K", K, (3, 3))
+    if not is_concrete(k):
+        return k
+    if abs(k[0, 1]) > 1e-9 * abs(k[0, 0]):
+        raise ValueError(f"`K`: expected no skew, got {k[0, 1]}")
+    if k[1, 0] != 0 or np.any(k[2] != np.array([0, 0, 1])):
+        raise ValueError(f"`K`: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got {k.tolist()}")
+    for focal, size in ((k[0, 0], W), (k[1, 1], H)):
+        angle = 2 * np.arctan2(size, 2 * focal)
+        if not (focal > 0 and 0 < np.float32(angle) < np.float32(np.pi)):
+            raise ValueError(
+                "`K`: expected positive focal lengths in px, with a field of view in (0, pi) rad,"
+                f" got fx = {k[0, 0]:g}, fy = {k[1, 1]:g}"
+            )
+    return k
+
+
+def as_rigid(R: ArrayLike, t: ArrayLike) -> tuple[Numbers, Numbers]:
+    """Return R (3, 3) and t (3,), which may be a column, in float64 unless traced.
+
+    Raises ValueError unless R is a rotation.
+    """
     rows = isinstance(t, list) and all(np.ndim(row) == 1 for row in t)
     column = rows or getattr(t, "shape", None) == (3, 1)
-    k, r = _real("K", K, (3, 3)), _real("R", R, (3, 3))
-    shift = _real("t", t, (3, 1) if column else (3,)).reshape(3)
-    if is_concrete(k):
-        _check_intrinsics(np.asarray(k), W, H)
+    r, shift = _real("R", R, (3, 3)), _real("t", t, (3, 1) if column else (3,))
     if is_concrete(r) and not is_rotation(r):
         raise ValueError(f"`R`: expected a rotation matrix, got {r.tolist()}")
-    traced = not is_concrete(k, r, shift)
-    xp: ModuleType = jnp if traced else np
-
-    fx, fy = k[0, 0], k[1, 1]
-    centre = xp.stack([k[0, 2] + half, H - (k[1, 2] + half)])  # film coordinates: y up
-    aspect = fx / fy
-    eye = -r.T @ shift
-    centred = not traced and np.allclose(centre, (W / 2, H / 2), rtol=0, atol=1e-9)
-    plain = bool(centred and abs(aspect - 1) < 1e-12)
-    return (eye, eye + r[2], -r[1]), (2 * xp.arctan(H / (2 * fy)), centre, aspect), plain
+    return r, shift.reshape(3)
 
 
 def half_pixel(pixel_centres: object) -> float:
@@ -67,18 +69,3 @@ def _real(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Numbers:
     """Return finite numbers of this shape, in float64 unless traced; or raise ValueError."""
     array = float_array(name, value, shape, float_dtype(value))
     return np.asarray(value, float) if is_concrete(array) else array
-
-
-def _check_intrinsics(K: np.ndarray, W: int, H: int) -> None:
-    """Raise ValueError for skew, another last row, or focal lengths that are not positive."""
-    if abs(K[0, 1]) > 1e-9 * abs(K[0, 0]):
-        raise ValueError(f"`K`: expected no skew, got {K[0, 1]}")
-    if K[1, 0] != 0 or np.any(K[2] != [0, 0, 1]):
-        raise ValueError(f"`K`: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got {K.tolist()}")
-    for focal, size in ((K[0, 0], W), (K[1, 1], H)):
-        angle = 2 * np.arctan2(size, 2 * focal)
-        if not (focal > 0 and 0 < np.float32(angle) < np.float32(np.pi)):
-            raise ValueError(
-                "`K`: expected positive focal lengths in px, with a field of view in (0, pi) rad,"
-                f" got fx = {K[0, 0]:g}, fy = {K[1, 1]:g}"
-            )

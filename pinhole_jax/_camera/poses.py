@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from .._numerics.arrays import ArrayLike
-from .axes import axes_of
+from .._numerics.arrays import ArrayLike, checked
+from .axes import axes_of, skew
 from .camera import Camera
 from .matrices import ORTHOGONAL, is_rotation
 
@@ -54,12 +54,9 @@ def exponential(twist: Float[np.ndarray, "6"]) -> Pose:
 
     The translation is not the screw's: both are the same to first order.
     """
-    turn = twist[:3]
-    angle = float(np.linalg.norm(turn))
-    by = skew(turn)
-    a = np.sinc(angle / np.pi)
-    b = np.sinc(angle / (2 * np.pi)) ** 2 / 2
-    return rigid(np.eye(3) + a * by + b * by @ by, twist[3:])
+    from scipy.spatial.transform import Rotation
+
+    return rigid(Rotation.from_rotvec(twist[:3]).as_matrix(), twist[3:])
 
 
 def adjoint(pose: Pose) -> Float[np.ndarray, "6 6"]:
@@ -73,21 +70,9 @@ def adjoint(pose: Pose) -> Float[np.ndarray, "6 6"]:
 
 def check_pose(name: str, value: ArrayLike) -> Pose:
     """Return a rigid transform, its rotation orthogonal to the last digit; or raise ValueError."""
-    try:
-        matrix = np.asarray(value, float)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"`{name}`: expected a matrix (4, 4), got {value!r}") from error
-    if matrix.shape != (4, 4):
-        raise ValueError(f"`{name}`: expected shape (4, 4), got {matrix.shape}")
-    rotation = matrix[:3, :3]
-    turns = np.all(np.isfinite(matrix)) and is_rotation(rotation.T)
-    if not (turns and np.max(np.abs(matrix[3] - [0, 0, 0, 1])) < ORTHOGONAL):
+    matrix = np.asarray(checked(name, value, (4, 4), np.dtype(float)), float)
+    rotation, last = matrix[:3, :3], np.abs(matrix[3] - [0, 0, 0, 1])
+    if not (is_rotation(rotation.T) and np.max(last) < ORTHOGONAL):
         raise ValueError(f"`{name}`: expected a rotation and a translation, got\n{matrix}")
     left, _, right = np.linalg.svd(rotation)
     return rigid(left @ right, matrix[:3, 3])
-
-
-def skew(vector: np.ndarray) -> np.ndarray:
-    """Return the matrix (3, 3) of a cross product with a vector."""
-    x, y, z = vector
-    return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])

@@ -17,10 +17,10 @@ from .camera import (
     ResizableCamera,
     basis,
     check_camera,
-    focal_px,
+    film_map,
     principal_point,
-    to_camera,
 )
+from .film import film_points
 
 
 class Rays(NamedTuple):
@@ -155,8 +155,8 @@ def project(camera: Camera, points: Input[ArrayLike, "*batch 3"]) -> Float[Array
     """Return the film coordinates (px, origin bottom left, y up) of world points (..., 3).
 
     A point behind the eye projects through it, as the equations say; one in the eye's own plane
-    gives the principal point. Points in front have `to_camera(camera, points)[..., 2] > 0`. Where a
-    lens's polynomial would fold back it goes on straight (see `distortion`).
+    gives the principal point. In front of the eye `(points - camera.e) @ camera_basis(camera).v` is
+    above 0. Where a lens's polynomial would fold back it goes on straight (see `distortion`).
 
     ```python
     corner = jnp.array([0.5, 0.5, 0.5])
@@ -172,13 +172,11 @@ def project(camera: Camera, points: Input[ArrayLike, "*batch 3"]) -> Float[Array
 def _projected(
     camera: ResizableCamera, points: Float[Array, "*batch 3"]
 ) -> Float[Array, "*batch 2"]:
-    x, y, z = jnp.moveaxis(to_camera(camera, points), -1, 0)
-    fx, fy = focal_px(camera)
-    centre = principal_point(camera)
-    x, y = safe_divide(x, z), safe_divide(y, z)
-    if camera.distortion is not None:
-        x, y = camera.distortion(x, y)
-    return jnp.stack([fx * x + centre[0], fy * y + centre[1]], -1)
+    film = film_map(camera)
+    seen = film_points(film, points)
+    z = seen[..., 2:]
+    seen = jnp.where(z == 0, principal_point(camera), safe_divide(seen[..., :2], z))
+    return seen if film.bend is None else film.bend(seen)
 
 
 def _film_samples(

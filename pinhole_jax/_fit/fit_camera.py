@@ -6,10 +6,10 @@ from numbers import Real
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from .._camera.camera import Camera, camera_coordinates, check_camera
+from .._camera.axes import axes_of
+from .._camera.camera import Camera, check_camera
 from .._camera.lens import Lens
 from .._camera.rays import project
 from .._files.progress import say, shown
@@ -189,9 +189,9 @@ def _is_within(scene: Scene, camera: Camera) -> bool:
         corners = 2 * np.indices((2, 2, 2)).reshape(3, 8).T - 1
         around = np.asarray(scene.spheres.radii)[:, None, None] * corners
         points.append((np.asarray(scene.spheres.centers)[:, None] + around).reshape(-1, 3))
-    corners = jnp.asarray(np.concatenate(points), camera.e.dtype)
+    corners = np.concatenate(points).astype(camera.e.dtype)
     seen = np.asarray(project(camera, corners))
-    before = np.asarray(camera_coordinates(camera, corners))[:, 2] > 0
+    before = (corners - np.asarray(camera.e, float)) @ axes_of(camera)[2] > 0
     return bool(np.all(before) and np.all((seen > 0) & (seen < [camera.W, camera.H])))
 
 

@@ -7,8 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from .._camera.bent import bent
-from .._camera.camera import Camera, film_map, focal_px, principal_point
+from .._camera.camera import Camera, bent, film_map, focal_px, principal_point
 from .edges import SparseImage, alike, near_weights
 from .kinds import Kind, kind_of
 from .signatures import Signature, signatures

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._camera.camera import Camera, lens_holds, to_camera
+from .._camera.camera import Camera, film_map, lens_holds
 from .._camera.film import FilmPart
 from .._camera.rays import project
 from .._fit.implicit import Vantage
@@ -143,7 +143,7 @@ class Matches(eqx.Module):
     def distances(self, camera: Camera) -> Float[Array, "N"]:
         """Distances (px) of points from where they are seen, infinite behind the eye."""
         off = self.given.off(camera, self.H)
-        ahead = to_camera(camera, self.given.points)[:, 2] > 0
+        ahead = film_map(camera)(self.given.points)[:, 2] > 0
         return jnp.where(ahead, jnp.sqrt(jnp.sum(off * off, axis=1)), jnp.inf)
 
     @eqx.filter_jit

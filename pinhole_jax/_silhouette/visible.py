@@ -10,8 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._camera.bent import bent
-from .._camera.camera import Camera, film_map
+from .._camera.camera import Camera, bent, film_map
 from .._camera.rays import Rays
 from .._native.rasteriser import sphere_frames
 from .._numerics.safe import norm

@@ -14,9 +14,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from .._numerics.components import Parts, parts
 from .._numerics.safe import binary_inverse, binary_scale
 from .._scene.scene import Scene, morton_order
-from .components import Parts, parts
 from .intersect import sphere_depth, triangle_depth
 
 #: Rays side by side.
@@ -64,13 +64,19 @@ def first_met(
     scene, unit = _to_unit_size(scene)
     rays = jax.vmap(_ray)(jnp.broadcast_to(origin * unit, direction.shape), direction)
     depth, met = jnp.full(direction.shape[:1], jnp.inf, direction.dtype), jnp.int32(-1)
-    first = 0 if scene.mesh is None else scene.mesh.faces.shape[0]
-    for tree, number in ((_mesh_tree(scene), 0), (_sphere_tree(scene), first)):
-        if tree is not None:
-            walk = partial(_walk, tree)
+    kinds = []
+    if scene.mesh is not None:
+        kinds.append((scene.mesh.vertices[scene.mesh.faces], None))
+    if scene.spheres is not None:
+        kinds.append((scene.spheres.centers[:, None], scene.spheres.radii))
+    number = 0
+    for data, radius in kinds:
+        if data.shape[0]:
+            walk = partial(_walk, _tree(data, radius))
             here, which = jax.lax.map(walk, rays, batch_size=min(BESIDE, direction.shape[0]))
             met = jnp.where(here < depth, number + which, met)
             depth = jnp.minimum(here, depth)
+        number += data.shape[0]
     return jnp.broadcast_to(met, depth.shape)
 
 
@@ -85,25 +91,10 @@ def _to_unit_size(scene: Scene) -> tuple[Scene, Float[Array, ""]]:
     return eqx.tree_at(where, scene, [x * scale for x in where(scene)]), scale
 
 
-def _mesh_tree(scene: Scene) -> Tree | None:
-    mesh = scene.mesh
-    if mesh is None or not mesh.faces.shape[0]:
-        return None
-    corners = mesh.vertices[mesh.faces]
-    low, high = jnp.min(corners, axis=1), jnp.max(corners, axis=1)
-    return _tree(low, high, corners, None)
-
-
-def _sphere_tree(scene: Scene) -> Tree | None:
-    if scene.spheres is None or not scene.spheres.radii.shape[0]:
-        return None
-    centers, radii = scene.spheres.centers, scene.spheres.radii
-    size = radii[:, None]
-    return _tree(centers - size, centers + size, centers[:, None], radii)
-
-
-def _tree(low: Array, high: Array, data: Array, radius: Array | None) -> Tree:
+def _tree(data: Float[Array, "N points 3"], radius: Float[Array, "N"] | None) -> Tree:
     """A complete binary tree over boxes in Morton order, its levels one after another."""
+    size = 0 if radius is None else radius[:, None]
+    low, high = jnp.min(data, axis=1) - size, jnp.max(data, axis=1) + size
     order = morton_order(jnp.mean(data, axis=1))
     eps, extent = jnp.finfo(low.dtype).eps, jnp.max(high - low, axis=1, keepdims=True)
     # Slivers are met up to the root of the rounding beside them: so much their test leaves open.

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._camera.camera import Camera, camera_basis
+from .._numerics.components import inner, parts
 from .._scene.scene import Scene, check_view
-from .components import inner, parts
 from .trace import FirstHits, first_hits, hits
 
 

@@ -3,10 +3,8 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._numerics.safe import dot, safe_divide, safe_sqrt
-from .components import Parts, inner
-
-Vector = Float[Array, "*#batch 3"]
+from .._numerics.components import Parts, inner
+from .._numerics.safe import safe_divide, safe_sqrt
 
 
 def _perpendicular(direction: Parts) -> tuple[Parts, Parts]:
@@ -58,9 +56,8 @@ def triangle_depth(ray: Parts | Array, corners: Parts | Array) -> Float[Array, "
 def sphere_depth(ray: Parts, sphere: Parts) -> Float[Array, "*batch"]:
     """Return the depth of hits of spheres (centre and radius) by rays as in `triangle_depth`."""
     length = jnp.sqrt(1 + ray[3] * ray[3] + ray[4] * ray[4])
-    direction = jnp.stack([ray[3] / length, ray[4] / length, 1 / length], axis=-1)
-    offset = jnp.stack([sphere[k] - ray[k] for k in range(3)], axis=-1)
-    return ray_sphere(direction, offset, sphere[3]) / length
+    direction = [ray[3] / length, ray[4] / length, 1 / length]
+    return ray_sphere(direction, [sphere[k] - ray[k] for k in range(3)], sphere[3]) / length
 
 
 def _edge(p, q) -> Array:
@@ -99,9 +96,7 @@ def _weighted(p, q, r) -> tuple[Array, Parts]:
     return u * p[2] + v * q[2] + w * r[2], (u, v, w)
 
 
-def ray_sphere(
-    direction: Vector, center: Vector, radius: Float[Array, "*#batch"]
-) -> Float[Array, "*batch"]:
+def ray_sphere(direction: Parts, center: Parts, radius: Array) -> Float[Array, "*batch"]:
     """Return the distances of spheres in front of the origin (from inside: of the far wall); inf
     for misses.
 
@@ -109,13 +104,13 @@ def ray_sphere(
     product of the roots: no cancellation at a distance (Haines et al., Ray Tracing Gems, ch. 7). A
     ray that touches a sphere meets it; there the root's infinite derivative counts as 0.
     """
-    along = dot(center, direction)
-    aside = center - along[..., None] * direction
-    distance = safe_sqrt(dot(aside, aside))
+    along = inner(center, direction)
+    aside = [x - along * way for x, way in zip(center, direction, strict=True)]
+    distance = safe_sqrt(inner(aside, aside))
     half_chord_squared = (radius - distance) * (radius + distance)
     root = safe_sqrt(half_chord_squared)
     far = along + jnp.where(along < 0, -root, root)  # the root of larger magnitude
-    length = safe_sqrt(dot(center, center))
+    length = safe_sqrt(inner(center, center))
     near = safe_divide((length - radius) * (length + radius), far)
     near = jnp.where(root > 0, near, far)  # a ray that touches: the same derivative, too
     least, most = jnp.minimum(near, far), jnp.maximum(near, far)

@@ -18,10 +18,10 @@ from .._camera.camera import Camera, camera_basis, check_camera
 from .._camera.rays import Rays, camera_rays
 from .._native.library import is_available
 from .._native.walker import walked
+from .._numerics.components import Parts, largest, outer, parts, unit, whole
 from .._numerics.pointwise import may_be_padded, padded, room
-from .._numerics.safe import binary_inverse, length, normalize
+from .._numerics.safe import binary_inverse, length
 from .._scene.scene import Mesh, Scene, Spheres, astype
-from .components import Parts, largest, outer, parts, unit, whole
 from .heap import first_met
 from .intersect import ray_plane, ray_sphere
 
@@ -176,67 +176,68 @@ def _first_met(scene: Scene, rays: Rays, any_hit: bool) -> Int[Array, "*batch"]:
 @eqx.filter_jit
 def hits(scene: Scene, met: FirstHits) -> Hit:
     """Recompute each hit differentiably from the primitive already found."""
-    rays = met.rays
+    rays, which = met.rays, met.primitive.reshape(-1)
     scene = astype(scene, rays.direction.dtype)
     shape = jnp.broadcast_shapes(rays.origin.shape, rays.direction.shape)[:-1]
     flat = lambda x: jnp.broadcast_to(x, shape).reshape(-1)
     origin, along = ([flat(x) for x in parts(v)] for v in rays)
     direction, step = unit(along), length(*along)
-    which, first = met.primitive.reshape(-1), 0
-    hit = _miss(step)
+    none = jnp.zeros_like(step)
+    here, first = _Meeting(none < 0, none, [none] * 3, [none] * 3), 0
     if scene.mesh is not None and scene.mesh.faces.shape[0]:
         first = scene.mesh.faces.shape[0]
-        hit = _meet_face(scene.mesh, origin, direction, jnp.where(which < first, which, -1))
+        here = _meet_face(scene.mesh, origin, direction, jnp.where(which < first, which, -1))
     if scene.spheres is not None and scene.spheres.radii.shape[0]:
-        ray = Rays(whole(origin), whole(direction))
-        sphere = _meet_sphere(scene.spheres, ray, which - first, first)
-        hit = _choose(which >= first, sphere, hit)
-    far = jnp.isinf(hit.t)
-    hit = hit._replace(t=jnp.where(far, jnp.inf, jnp.where(far, 0, hit.t) / step))
+        sphere = _meet_sphere(scene.spheres, origin, direction, which - first)
+        here = jax.tree.map(lambda a, b: jnp.where(which < first, a, b), here, sphere)
+    kept = lambda x: jnp.where(here.met, x, 0)
+    t = jnp.where(here.met, kept(here.t) / step, jnp.inf)
+    vectors = (whole([*map(kept, vector)]) for vector in (here.barycentric, here.normal))
+    hit = Hit(t, jnp.where(here.met, which, -1), *vectors)
     return jax.tree.map(lambda x: x.reshape(shape + x.shape[1:]), hit)
 
 
-def _miss(like: Float[Array, "N"]) -> Hit:
-    """Return as many misses."""
-    N = like.shape[0]
-    zeros = jnp.zeros((N, 3), like.dtype)
-    return Hit(jnp.full(N, jnp.inf, like.dtype), jnp.full(N, -1, jnp.int32), zeros, zeros)
+class _Meeting(NamedTuple):
+    """Rays with the primitives that they are known to meet, and True where they do."""
+
+    met: Bool[Array, "N"]
+    t: Float[Array, "N"]
+    barycentric: Parts
+    normal: Parts
 
 
-def _meet_face(mesh: Mesh, origin: Parts, direction: Parts, face: Int[Array, "N"]) -> Hit:
-    """Return the hits of rays with the faces that they are known to meet (-1: none)."""
+def _meet_face(mesh: Mesh, origin: Parts, direction: Parts, face: Int[Array, "N"]) -> _Meeting:
+    """Return the hits of faces (-1: none)."""
     vertex = [mesh.faces[jnp.maximum(face, 0), k] for k in range(3)]
     corners = [[mesh.vertices[v, k] - origin[k] for k in range(3)] for v in vertex]
-    far = largest(*corners)
-    met = (face >= 0) & jnp.isfinite(far) & jnp.isfinite(sum(direction))
-    scale = binary_inverse(far)  # and all is about 1
-    a, b, c = ([jnp.where(met, x * scale, 1) for x in corner] for corner in corners)
+    met, scale, (a, b, c) = _about_one(face >= 0, direction, *corners)
     t, weights = ray_plane(direction, a, b, c)
     sides = [[q - p for p, q in zip(a, other, strict=True)] for other in (b, c)]
     size = binary_inverse(largest(*sides))
     normal = unit(outer(*([x * size for x in side] for side in sides)))
-    keep = lambda vector: whole([jnp.where(met, x, 0) for x in vector])
-    t, face = jnp.where(met, t / scale, jnp.inf), jnp.where(met, face, -1)
-    return Hit(t, face, keep(weights), keep(normal))
+    return _Meeting(met, t / scale, [*weights], normal)
 
 
-def _meet_sphere(spheres: Spheres, rays: Rays, sphere: Int[Array, "N"], first: int) -> Hit:
-    """Return the hits of rays with the spheres that they are known to meet (-1: none)."""
+def _meet_sphere(
+    spheres: Spheres, origin: Parts, direction: Parts, sphere: Int[Array, "N"]
+) -> _Meeting:
+    """Return the hits of spheres (below 0: none)."""
     index = jnp.maximum(sphere, 0)
-    center = spheres.centers[index] - rays.origin
-    far = jnp.max(jnp.abs(center), axis=1)
-    met = (sphere >= 0) & jnp.isfinite(far) & jnp.all(jnp.isfinite(rays.direction), axis=1)
-    scale = binary_inverse(far)
-    center = jnp.where(met[:, None], center * scale[:, None], 1)
-    radius = spheres.radii[index] * scale
-    t = ray_sphere(rays.direction, center, radius)
+    center = [x - o for x, o in zip(parts(spheres.centers[index]), origin, strict=True)]
+    met, scale, (center,) = _about_one(sphere >= 0, direction, center)
+    t = ray_sphere(direction, center, spheres.radii[index] * scale)
     met &= jnp.isfinite(t)
-    finite = jnp.where(met, t, 0)
-    normal = normalize(finite[:, None] * rays.direction - center)
-    miss = _miss(far)
-    return _choose(met, Hit(finite / scale, first + sphere, miss.barycentric, normal), miss)
+    t = jnp.where(met, t, 0)
+    normal = unit([t * way - x for way, x in zip(direction, center, strict=True)])
+    return _Meeting(met, t / scale, [jnp.zeros_like(t)] * 3, normal)
 
 
-def _choose(where: Bool[Array, "N"], a: Hit, b: Hit) -> Hit:
-    pick = lambda x, y: jnp.where(where.reshape(-1, *(1,) * (x.ndim - 1)), x, y)
-    return Hit(*(pick(x, y) for x, y in zip(a, b, strict=True)))
+def _about_one(
+    met: Bool[Array, "N"], direction: Parts, *points: Parts
+) -> tuple[Bool[Array, "N"], Float[Array, "N"], list[Parts]]:
+    """Return True where all is finite, the factor that brings points to a size of about 1, and the
+    points at this size (1 elsewhere)."""
+    far = largest(*points)
+    met &= jnp.isfinite(far) & jnp.isfinite(sum(direction))
+    scale = binary_inverse(far)
+    return met, scale, [[jnp.where(met, x * scale, 1) for x in point] for point in points]

@@ -5,9 +5,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from .._camera.axes import skew
 from .._camera.distortion import Distortion
 from .._camera.matrices import Centres
-from .._camera.poses import Pose, inverse, rigid, skew
+from .._camera.poses import Pose, inverse, rigid
 from .._fit.result import Fit, check_fit
 from .._fit.words import in_digits
 from .._numerics.arrays import Input

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._numerics.safe import length, safe_divide
+from .safe import length, safe_divide
 
 Parts = Sequence[Array]
 
