@@ -19,12 +19,12 @@ import numpy as np
 from .. import Fit, Progress, fit_camera, io, silhouette
 from .._files.paths import written_path
 from ..batch.inputs import Start, numbers_of
-from ..formats import FORMATS
-from ..show.page import png_of
+from ..formats import FORMATS, object_pose, write
+from ..names import STATUSES
+from ..plot import disagreement
+from ..show.page import ENDINGS, png_of
 from . import hand
-from .descriptions import fit_description, with_assumed_phi
-from .drawing import camera_numbers, grid_lines, outline_lines, straight_lines
-from .exports import export, plain
+from .drawing import band_of, camera_numbers, grid_lines, outline_lines, straight_lines
 from .session import Session, free_of, session_from_text, session_to_text
 from .strokes import (
     GUIDES,
@@ -99,10 +99,9 @@ class Bench:
         self.fits: tuple[Fit, ...] = ()
         self.chosen = 0
         self._phi_was_free, self._assumption = False, ""
-        #: All states of the work that can be gone back to, and the place of the current one.
+        #: All states of the work that can be gone back to; `_at` is the place of the current one.
         self._works = [session.strokes[:k] for k in range(len(session.strokes) + 1)][-MOST_UNDONE:]
-        self._at = len(self._works) - 1
-        self._update_mask()
+        self._go_to(len(self._works) - 1)
 
     @property
     def result(self) -> Fit | None:
@@ -220,17 +219,11 @@ class Bench:
 
     def undo(self) -> Answer:
         """Take back the last stroke or mask."""
-        return self._step(-1, "nothing to undo")
+        return self._go_to(self._at - 1)
 
     def redo(self) -> Answer:
         """Restore the stroke or mask that was taken back last."""
-        return self._step(1, "nothing to redo")
-
-    def _step(self, by: int, words: str) -> Answer:
-        if not 0 <= self._at + by < len(self._works):
-            raise ValueError(words)
-        self._at += by
-        return self._update_mask()
+        return self._go_to(self._at + 1)
 
     def clear(self) -> Answer:
         """Drop all strokes and masks."""
@@ -320,7 +313,18 @@ class Bench:
 
     def export(self, format: str, name: str) -> Answer:
         """Write the current camera in a format, or in all of them ("all"), and the mask, if any."""
-        return {"written": export(self.folder, name, self.session.camera, format, self.mask)}
+        name = plain(name)
+        if format not in ("all", *FORMATS):
+            raise ValueError(f"`format`: expected one of all, {', '.join(FORMATS)}, got {format!r}")
+        chosen = FORMATS if format == "all" else [format]
+        paths = {self.folder / (name + ENDINGS[each]): each for each in chosen}
+        image = self.folder / f"{name}_mask.png"
+        written = [written_path(path) for path in (*paths, *[image] * (self.mask is not None))]
+        for path, each in paths.items():
+            write(path, {name: self.session.camera}, each)
+        if self.mask is not None:
+            io.save_image(image, self.mask)
+        return {"written": written}
 
     def save(self, name: str, free: Sequence[str]) -> Answer:
         """Write the session as one file."""
@@ -337,11 +341,13 @@ class Bench:
 
     def _push_work(self, work: Work) -> Answer:
         self._works = [*self._works[: self._at + 1], work][-MOST_UNDONE:]
-        self._at = len(self._works) - 1
-        return self._update_mask()
+        return self._go_to(len(self._works) - 1)
 
-    def _update_mask(self) -> Answer:
-        work = self._works[self._at]
+    def _go_to(self, place: int) -> Answer:
+        """Take the work at a place of all states."""
+        if not 0 <= place < len(self._works):
+            raise ValueError(f"nothing to {'undo' if place < 0 else 'redo'}")
+        self._at, work = place, self._works[place]
         self.session = self.session._replace(strokes=work)
         self.mask = mask_of(work, self._guess(strokes_of(work, GUIDES)), *self.workpiece.size)
         return self._mask_description()
@@ -357,9 +363,45 @@ class Bench:
         }
 
     def _fit_description(self) -> Answer | None:
-        fit = self.result
+        """Return the fit's status, table, notes, outline with its band, K, R and t."""
+        fit, mask, scene = self.result, self.mask, self.workpiece.scene
         if fit is None:
             return None
-        described = fit_description(fit, self.workpiece.scene, self.mask, self._assumption)
-        modes = [mode.iou for mode in self.fits] if fit.status != "non_finite" else []
-        return {**described, "modes": modes, "chosen": self.chosen}
+        described = {"status": fit.status, "meaning": STATUSES[fit.status], "chosen": self.chosen}
+        if self._assumption and fit.status == "uncertain":
+            described["meaning"] = f"use it as a start only: {fit.weak[0].partition(';')[0]}"
+        if fit.status == "non_finite":
+            none = {"iou": None, "rows": [], "notes": [], "band": None, "pose": "", "modes": []}
+            return {**described, **none}
+        notes = () if mask is None else disagreement(fit.camera, scene, mask)
+        return {
+            **described,
+            "iou": fit.iou,
+            "rows": [row.cells() for row in fit.parameters.rows],
+            "notes": [*fit.weak, *notes],
+            "band": band_of(fit, scene),
+            "pose": str(object_pose(fit, pixel_centres="integer")),
+            "modes": [mode.iou for mode in self.fits],
+        }
+
+
+def with_assumed_phi(fit: Fit, phi_from: str) -> Fit:
+    """Return a fit that names the guess of the field of view that it held fixed.
+
+    The camera is only as right as that guess, so it has not `converged`. `phi_from` is the guess's
+    origin, "" if somebody gave it.
+    """
+    if not phi_from:
+        return fit
+    words = f"field of view {phi_from}: {np.rad2deg(float(fit.camera.phi)):.1f} degrees"
+    words += "; the sigmas ignore its error: let the fit change it, or give --fov"
+    status = "uncertain" if fit.status == "converged" else fit.status
+    return fit._replace(status=status, weak=(words, *fit.weak))
+
+
+def plain(name: str) -> str:
+    """Return a name for files; raise ValueError if it is a path."""
+    good = 0 < len(name) <= 100 and name[0] != "." and all(c.isalnum() or c in "-_." for c in name)
+    if not good:
+        raise ValueError(f"`name`: expected letters, digits, - and _, got {name!r}")
+    return name

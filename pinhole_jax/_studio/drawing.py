@@ -19,8 +19,6 @@ GRID = 8
 REACH = 1.6
 #: A bent line has this many points.
 POINTS = 49
-#: Lines farther from the picture than this many of its sides are not drawn.
-FAR = 20
 
 
 def camera_numbers(camera: Camera) -> dict[str, Any]:
@@ -41,9 +39,7 @@ def camera_numbers(camera: Camera) -> dict[str, Any]:
 
 def outline_lines(camera: Camera, scene: Scene) -> list[list[float]]:
     """Return the outline as lines [x, y, x, y], to a hundredth of a px."""
-    lines = from_top(camera, outline(camera, scene))
-    near = np.all(np.abs(lines) < FAR * max(camera.W, camera.H), axis=(1, 2))
-    return lines[near].round(2).reshape(-1, 4).tolist()
+    return from_top(camera, outline(camera, scene)).round(2).reshape(-1, 4).tolist()
 
 
 def band_of(fit: Fit, scene: Scene) -> dict[str, Any]:
@@ -51,11 +47,10 @@ def band_of(fit: Fit, scene: Scene) -> dict[str, Any]:
 
     A half width is the motion of its line at one standard error.
     """
-    lines = from_top(fit.camera, outline(fit.camera, scene))
     sigma = outline_sigma(fit, scene)
     shown = sigma[np.isfinite(sigma) & (sigma > 0)]
     return {
-        "lines": lines.round(2).reshape(-1, 4).tolist(),
+        "lines": outline_lines(fit.camera, scene),
         "half_px": np.nan_to_num(sigma).clip(0, 1e4).round(3).tolist(),
         "median_px": float(np.median(shown)) if shown.size else 0.0,
     }

@@ -26,7 +26,13 @@ HOST = "127.0.0.1"
 MOST_BYTES = 1 << 28
 #: This many tabs are remembered.
 MOST_TABS = 32
-PARTS = ("/scene.js", "/studio.js", "/studio.css")
+#: The files of the page, and their kinds.
+PARTS = {
+    "/": "text/html",
+    "/scene.js": "text/javascript",
+    "/studio.js": "text/javascript",
+    "/studio.css": "text/css",
+}
 #: The files of a tab's workpiece: what makes them, and their kind.
 FILES = {
     "/photo": (photo_file, "image/jpeg"),
@@ -56,9 +62,8 @@ class Studio:
     def application(self) -> web.Application:
         """Return the server's routes, each behind the token."""
         app = web.Application(middlewares=[self._guard], client_max_size=MOST_BYTES)
-        app.router.add_get("/", self._index)
         for path in PARTS:
-            app.router.add_get(path, _part)
+            app.router.add_get(path, self._part)
         for path in FILES:
             app.router.add_get(path, self._file)
         app.router.add_get("/bench", self._talk)
@@ -77,10 +82,11 @@ class Studio:
             response.headers.update(HEADERS)
         return response
 
-    async def _index(self, request: web.Request) -> web.Response:
-        del request
-        text = (PAGE / "index.html").read_text(encoding="utf-8")
-        return web.Response(text=text.replace("{TOKEN}", self.token), content_type="text/html")
+    async def _part(self, request: web.Request) -> web.Response:
+        """Send a part of the page, which names the token where it asks for others."""
+        text = (PAGE / (request.path[1:] or "index.html")).read_text(encoding="utf-8")
+        text = text.replace("{TOKEN}", self.token)
+        return web.Response(text=text, content_type=PARTS[request.path])
 
     async def _file(self, request: web.Request) -> web.Response:
         """Send a file of the tab's workpiece."""
@@ -121,10 +127,6 @@ class Studio:
         return tab
 
 
-async def _part(request: web.Request) -> web.FileResponse:
-    return web.FileResponse(PAGE / request.path.strip("/"))
-
-
 def _answer(bench: Bench, text: str, send: Callable[[dict[str, Any]], Any]) -> None:
     """Do what a tab's message asks for, and send the answer, or the reason why it is impossible."""
     number = None
@@ -133,10 +135,9 @@ def _answer(bench: Bench, text: str, send: Callable[[dict[str, Any]], Any]) -> N
         number, name = question.pop("id"), question.pop("do")
         push = lambda news: send({"push": "progress", **news})
         send({"id": number, "answer": bench.act(name, question, push)})
-    except (ValueError, OSError) as error:
-        send({"id": number, "error": str(error)})
     except Exception as error:
-        send({"id": number, "error": f"{type(error).__name__}: {error}"})
+        kind = "" if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: "
+        send({"id": number, "error": f"{kind}{error}"})
 
 
 async def serve(studio: Studio, port: int, ready: Callable[[str], Any]) -> None:

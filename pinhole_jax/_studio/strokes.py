@@ -122,13 +122,17 @@ def guess_mask(photo: np.ndarray, guides: Sequence[Stroke]) -> np.ndarray | None
 def _object(photo: np.ndarray, seeds: np.ndarray) -> np.ndarray:
     """Return the object's pixels (H, W): those of a picture half as large, guessed anew near their
     edge. Seeds are 1 on the object, 2 on the background."""
+    from PIL import Image
+
     H, W = seeds.shape
     labels = seeds.astype(np.int32)
     if H * W > COARSE_PX:
-        half = (W + 1) // 2, (H + 1) // 2
-        marked = [_resized(seeds == label, half) for label in (1, 2)]  # thin strokes, too
+        halved = lambda image: np.asarray(Image.fromarray(image).reduce(2))
+        marked = [halved(np.uint8(255) * (seeds == label)) for label in (1, 2)]  # thin ones, too
         small = np.select([marked[0] > marked[1], marked[1] > 0], [1, 2])
-        object_ = _resized(_object(_resized(photo, half), small), (W, H)) > 127
+        guess = Image.fromarray(np.uint8(255) * _object(halved(photo), small))
+        doubled = guess.resize((2 * guess.width, 2 * guess.height), Image.Resampling.BILINEAR)
+        object_ = np.asarray(doubled)[:H, :W] > 127
         if H * W > FINEST_PX:
             return object_
         for label, part in ((1, object_), (2, ~object_)):
@@ -157,15 +161,6 @@ def _random_walker(photo: np.ndarray, labels: np.ndarray) -> np.ndarray:
         return random_walker(
             rgb2lab(photo) / 100, labels, beta=CONTRAST, mode="cg_j", tol=1e-3, channel_axis=-1
         )
-
-
-def _resized(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Return a picture, or what is True from 0 to 255, at another size (W, H)."""
-    from PIL import Image
-
-    bytes_ = np.uint8(255) * image if image.dtype == bool else image
-    way = Image.Resampling.BOX if size[0] < image.shape[1] else Image.Resampling.BILINEAR
-    return np.asarray(Image.fromarray(bytes_).resize(size, way))
 
 
 @lru_cache(2)

@@ -251,7 +251,6 @@ function laid(view, strokes, ratio) {
       }
     });
   }
-  // (An outline that leaves the page may have parts that the server left out.)
   const inside = left >= 0 && top >= 0 && right <= w && bottom <= h;
   const [x, y] = inside ? [Math.floor(left), Math.floor(top)] : [0, 0];
   resize(canvas, inside ? step(right - x) : w, inside ? step(bottom - y) : h);
