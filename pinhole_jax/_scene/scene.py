@@ -259,11 +259,6 @@ def bounding_box(scene: Scene) -> Float[Array, "2 3"]:
     return jnp.asarray(box, box.dtype)
 
 
-def bounding_sphere(scene: Scene) -> Ball:
-    """Return a sphere about the scene (the bounding box's, not the least)."""
-    return ball_about(as_numpy(bounding_box(scene)))
-
-
 def ball_about(box: Float[Array | np.ndarray, "2 3"]) -> Ball:
     """Return the sphere through a box's corners, of NumPy or JAX as the box is."""
     low, high = box

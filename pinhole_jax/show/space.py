@@ -139,7 +139,7 @@ def frustum(camera: Camera, way: Iterable[Camera] = (), others: Sequence[Camera]
 
 def axes_of(camera: Camera) -> Float[np.ndarray, "3 3"]:
     """Return the camera's axes as rows: right, up, forward."""
-    return np.stack([np.asarray(axis, float) for axis in camera_basis(camera)])
+    return np.array([*camera_basis(camera)], float)
 
 
 def _wires(camera: Camera, depth: float) -> list[Points]:

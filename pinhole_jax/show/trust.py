@@ -46,7 +46,7 @@ class Trust(NamedTuple):
         """Return it as a sentence."""
         film, edge = self.film, self.outline
         place = ", ".join(f"{x:.3g}" for x in self.point)
-        span = f"{np.nanmin(film):.2g} to {np.nanmax(film):.2g} px"
+        span = f"{film.min():.2g} to {film.max():.2g} px"
         words = f"An error of one sigma moves points at the object's depth by {span}"
         if edge.size:
             words += f", the outline by up to {edge.max():.2g} px"
@@ -79,19 +79,16 @@ def trust(fit: Fit, scene: Scene) -> Trust:
     on_plane = points_at(camera, places, depth)
     on_film = lambda c: np.asarray(project(c, on_plane), float)
     film, spread = (_worst(fit, value, depth) for value in (on_film, before))
-    farthest = int(np.nanargmax(spread))
+    farthest = int(np.argmax(spread))
     across = outline_sigma(fit, scene)
     picture = _picture(camera, film.reshape(rows, columns), outline(camera, scene))
     return Trust(places, film, across, float(spread[farthest]), points[farthest], picture)
 
 
 def _worst(fit: Fit, value: Callable[[Camera], np.ndarray], depth: float) -> np.ndarray:
-    """One sigma (n,) of a camera's values (n, k), in the direction where it is largest; NaN where a
-    lens does not reach."""
+    """One sigma (n,) of a camera's values (n, k), in the direction where it is largest."""
     each = np.moveaxis(sigma_moves(fit, value, abs(depth)), 0, -1)
-    result, known = np.full(len(each), np.nan), np.all(np.isfinite(each), axis=(1, 2))
-    result[known] = np.linalg.norm(each[known], ord=2, axis=(1, 2))
-    return result
+    return np.linalg.norm(each, ord=2, axis=(1, 2))
 
 
 def _bands(sigma: np.ndarray) -> np.ndarray:
@@ -105,29 +102,27 @@ def _bands(sigma: np.ndarray) -> np.ndarray:
 def _picture(camera: Camera, sigma: np.ndarray, lines: np.ndarray) -> Svg:
     """The film in bands, the outline upon it, and a legend."""
     rows, columns = sigma.shape
-    scale, ends = WIDTH / camera.W, _bands(sigma[np.isfinite(sigma)])
+    scale, ends = WIDTH / camera.W, _bands(sigma)
     side, height = WIDTH / columns, camera.H * scale
     high = height / rows
     band = np.minimum(np.searchsorted(ends, sigma), len(ends) - 1)
-    parts = [
+    film = [
         f'<rect x="{j * side:.1f}" y="{height - (i + 1) * high:.1f}" width="{side + 0.5:.1f}"'
         f' height="{high + 0.5:.1f}" fill="{COLOURS[band[i, j]]}"/>'
-        for i, j in np.argwhere(np.isfinite(sigma))
+        for i, j in np.ndindex(rows, columns)
     ]
     shown = scale * from_top(camera, lines)
     ways = " ".join(f"M{a:.1f} {b:.1f}L{c:.1f} {d:.1f}" for (a, b), (c, d) in shown.tolist())
-    fields = len(parts)
     for colour, width in (("#fff", 3), ("#000", 1.2)):
-        parts.append(f'<path d="{ways}" stroke="{colour}" stroke-width="{width}" fill="none"/>')
-    wide = WIDTH / len(ends)
+        film.append(f'<path d="{ways}" stroke="{colour}" stroke-width="{width}" fill="none"/>')
+    wide, legend = WIDTH / len(ends), ""
     for k, end in enumerate(ends):
         box = f'x="{k * wide:.1f}" y="{height + 10:.1f}" width="14" height="14"'
         words = f'<text x="{k * wide + 19:.1f}" y="{height + 22:.1f}">'
-        parts.append(f'<rect {box} fill="{COLOURS[k]}"/>{words}&lt; {end:.3g} px</text>')
+        legend += f'<rect {box} fill="{COLOURS[k]}"/>{words}&lt; {end:.3g} px</text>'
     return Svg(
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH:g} {height + 30:.0f}"'
         ' role="img" aria-label="one sigma over the film, px" font-family="sans-serif"'
         f' font-size="12"><clipPath id="film"><rect width="{WIDTH:g}" height="{height:.1f}"/>'
-        f'</clipPath><g clip-path="url(#film)">{"".join(parts[: fields + 2])}</g>'
-        f"{''.join(parts[fields + 2 :])}</svg>"
+        f'</clipPath><g clip-path="url(#film)">{"".join(film)}</g>{legend}</svg>'
     )

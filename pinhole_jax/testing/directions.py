@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from .._camera.camera import Camera
 from .._camera.rays import project, rays_through
-from .._scene.scene import Scene, bounding_sphere
+from .._scene.scene import Scene, ball_about, bounding_box
 from .differences import Scales
 
 Point = tuple[Camera, Scene]
@@ -69,15 +69,10 @@ def _motion(camera: Camera, scene: Scene) -> Camera:
 
 def _distance(camera: Camera, scene: Scene) -> float:
     """Return the distance of the scene's middle from the eye or, from within, its radius."""
-    full = lambda part, points: None if part is None or not len(points(part)) else part
-    parts = Scene(
-        full(scene.mesh, lambda mesh: mesh.vertices),
-        full(scene.spheres, lambda spheres: spheres.radii),
-    )
-    if parts.mesh is None and parts.spheres is None:
+    if not any(x.size for x in jax.tree.leaves(eqx.filter(scene, eqx.is_inexact_array))):
         return float(np.linalg.norm(np.asarray(camera.p - camera.e)))
-    center, radius = bounding_sphere(parts)
-    return max(float(np.linalg.norm(np.asarray(center - camera.e))), float(radius))
+    center, radius = ball_about(np.asarray(bounding_box(scene)))
+    return max(float(np.linalg.norm(center - np.asarray(camera.e))), float(radius))
 
 
 def _waves(
