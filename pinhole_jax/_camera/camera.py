@@ -283,8 +283,8 @@ class ResizableCamera(eqx.Module):
     @classmethod
     def from_camera(cls, camera: Camera) -> "ResizableCamera":
         """The same camera."""
-        size = np.array([camera.W, camera.H], camera.e.dtype)
-        return cls(camera.e, camera.p, camera.u, camera.phi, camera.d, *size, camera.lens)
+        W, H = np.array([camera.W, camera.H], camera.e.dtype)
+        return cls(camera.e, camera.p, camera.u, camera.phi, camera.d, W, H, camera.lens)
 
     @property
     def distortion(self) -> Distortion | None:
