@@ -37,7 +37,7 @@ LEAST_SHOWN = 1e-3
 #: Unknowns beside a camera's own parameters: an object's pose and its size.
 OBJECT, SCALE = "object", "scale"
 #: The part of a twist (a rotation vector, a shift) that each motion of a camera has.
-TWISTS = {"pose": slice(0, 6), "position": slice(3, 6), "orientation": slice(0, 3)}
+MOTIONS = {"pose": slice(0, 6), "position": slice(3, 6), "orientation": slice(0, 3)}
 
 
 def through(
@@ -111,29 +111,22 @@ def steps_of(slopes: Sequence[Slope]) -> list[Array]:
     left, parts = np.zeros((len(shared), len(shared))), []
     pull = jnp.zeros(len(shared), slopes[0].pull.dtype)
     for slope in slopes:
-        dtype, units = slope.pull.dtype, unit[slope.columns]
-        bend, own = units[:, None] * slope.bend * units, count[slope.columns] == 1
-        place = np.searchsorted(shared, slope.columns[~own])
-        back, across = _inverse(bend[np.ix_(own, own)]), bend[np.ix_(own, ~own)]
-        left[np.ix_(place, place)] += bend[np.ix_(~own, ~own)] - across.T @ back @ across
+        units, own = unit[slope.columns], count[slope.columns] == 1
+        bend, alone = units[:, None] * slope.bend * units, np.zeros(slope.bend.shape)
+        alone[np.ix_(own, own)] = _inverse(bend[np.ix_(own, own)])
+        follows = (slope.columns[:, None] == shared).astype(float)
+        follows -= alone @ bend @ follows
+        left += follows.T @ bend @ follows
         # (What is linear in the pulls is products with matrices: entries one by one are a program
         # each.)
-        toward = np.zeros((len(shared), len(own)))
-        toward[np.ix_(place, ~own)] = np.eye(len(place))
-        toward[np.ix_(place, own)] = -across.T @ back
-        alone = np.zeros(bend.shape)
-        alone[np.ix_(own, own)] = back
-        parts.append(
-            [
-                jnp.asarray(x, dtype)
-                for x in (units[:, None] * toward.T, units[:, None] * alone * units)
-            ]
-        )
-        pull = pull + jnp.asarray(toward * units, dtype) @ slope.pull
+        each = units[:, None] * follows, units[:, None] * alone * units
+        follows, alone = (jnp.asarray(x, slope.pull.dtype) for x in each)
+        parts.append((follows, alone))
+        pull = pull + follows.T @ slope.pull
     step = -jnp.asarray(_inverse(left), pull.dtype) @ pull
     return [
-        by_shared @ step - by_own @ slope.pull
-        for (by_shared, by_own), slope in zip(parts, slopes, strict=True)
+        follows @ step - alone @ slope.pull
+        for (follows, alone), slope in zip(parts, slopes, strict=True)
     ]
 
 
@@ -147,31 +140,33 @@ class Vantage(eqx.Module):
 
     - `camera`: canonical, in its carrier's frame; `film`: its film.
     - `pose`: the frame that twists of the camera are taken in.
-    - `place`: the object's pose in the world; `scale`: its size.
-    - `units` (n,): the sizes of moves; `kinds`: what they move: motions, `OBJECT`, `SCALE`, and
+    - `kinds`: what moves, in its own units: motions of the camera, `OBJECT`, `SCALE`, and
       parameters of the lens.
+    - `place`: the object's pose in the world (None: the world's); `scale`: its size.
     """
 
     camera: Camera
     film: Camera
-    pose: Float[Array, "4 4"] | Pose
-    place: Float[Array, "4 4"] | Pose
-    scale: Float[Array, ""] | Float[np.ndarray, ""]
-    units: Float[Array, "n"] | np.ndarray
+    pose: Pose
     kinds: tuple[str, ...] = eqx.field(static=True)
+    place: Pose | None = None
+    scale: Float[np.ndarray, ""] = eqx.field(default_factory=lambda: np.ones(()))
+
+    @property
+    def still(self) -> Float[np.ndarray, "n"]:
+        """No moves."""
+        return np.zeros(sum(map(number_of, self.kinds)), self.film.e.dtype)
 
     def moved(self, y: Array) -> tuple[Camera, Array, Array]:
         """The camera on its film, the object's pose and its size after moves."""
-        camera, place, scale = self.camera, jnp.asarray(self.place), jnp.asarray(self.scale)
-        step, begin = y * self.units, 0
-        for kind in self.kinds:
-            part = step[begin : begin + number_of(kind)]
-            begin += number_of(kind)
-            if kind in TWISTS:
-                motion, pose = _motion(part, TWISTS[kind]), jnp.asarray(self.pose)
-                camera = _transformed(camera, pose @ motion @ _inverted(pose))
+        camera, pose, place = self.camera, _as_pose(self.pose, y), _as_pose(self.place, y)
+        scale, ends = jnp.asarray(self.scale, y.dtype), np.cumsum([*map(number_of, self.kinds)])
+        for kind, part in zip(self.kinds, jnp.split(y, ends[:-1]), strict=True):
+            if kind in MOTIONS:
+                motion = _motion(part, MOTIONS[kind])
+                camera = _transformed(camera, pose @ motion @ jnp.linalg.inv(pose))
             elif kind == OBJECT:
-                place = place @ _motion(part, TWISTS["pose"])
+                place = place @ _motion(part, MOTIONS["pose"])
             elif kind == SCALE:
                 scale = scale * jnp.exp(part[0])
             else:
@@ -180,39 +175,21 @@ class Vantage(eqx.Module):
         return on_film(camera, self.film), place, scale
 
 
-def vantage_of(
-    camera: Camera,
-    film: Camera,
-    pose: Pose,
-    kinds: tuple[str, ...],
-    place: Pose | None = None,
-    scale: float = 1.0,
-) -> Vantage:
-    """A vantage whose moves are in units as such."""
-    place, units = np.eye(4) if place is None else place, np.ones(sum(map(number_of, kinds)))
-    to = lambda x: np.asarray(x, film.e.dtype)
-    return Vantage(camera, film, to(pose), to(place), to(scale), to(units), kinds)
-
-
 def number_of(kind: str) -> int:
-    """The number of moves of a kind."""
-    sizes = {OBJECT: 6, SCALE: 1}
-    return sizes[kind] if kind in sizes else len(components((kind,)))
+    """The number of moves of a kind: one, but of an object's pose and a camera's parameters."""
+    if kind == OBJECT:
+        return 6
+    return len(components((kind,))) if kind in PARAMETERS else 1
 
 
-def _rigid(turn: Array, shift: Array) -> Array:
-    top = jnp.concatenate([turn, shift[:, None]], axis=1)
-    return jnp.concatenate([top, jnp.asarray([[0, 0, 0, 1]], top.dtype)])
+def _as_pose(pose: Any, like: Array) -> Array:
+    return jnp.asarray(np.eye(4) if pose is None else pose, like.dtype)
 
 
 def _motion(part: Array, where: slice) -> Array:
     twist = jnp.zeros(6, part.dtype).at[where].set(part)
-    return _rigid(rotation(twist[:3]), twist[3:])
-
-
-def _inverted(pose: Any) -> Array:
-    back = pose[:3, :3].T
-    return _rigid(back, -back @ pose[:3, 3])
+    turn, shift = rotation(twist[:3]), twist[3:]
+    return jnp.eye(4, dtype=part.dtype).at[:3, :3].set(turn).at[:3, 3].set(shift)
 
 
 def _transformed(camera: Camera, by: Array, scale: Any = 1.0) -> Camera:
@@ -222,138 +199,107 @@ def _transformed(camera: Camera, by: Array, scale: Any = 1.0) -> Camera:
     return eqx.tree_at(lambda c: (c.e, c.p, c.u), camera, values)
 
 
-class Arrangement(NamedTuple):
-    """What a camera sees: a scene, what carries the camera, and the scene's pose on the object."""
+class Inputs(NamedTuple):
+    """What a view is fitted to: a scene, a mask and its weights, the pose of what carries the
+    camera, and the scene's on the object (None: none). Or how fast these change (None: not)."""
 
-    scene: Scene
-    mount: Any
-    placed: Any
-
-
-def arrangement_of(scene: Scene, dtype: Any, mount: Any = None, placed: Any = None) -> Arrangement:
-    """What is seen, in a float type."""
-    known = (np.eye(4) if x is None else x for x in (mount, placed))
-    return Arrangement(scene, *(np.asarray(x, dtype) for x in known))
+    scene: Any
+    target: Any
+    weight: Any = None
+    mount: Any = None
+    placed: Any = None
 
 
-@eqx.filter_jit
-def _image(y: Array, vantage: Vantage, arranged: Arrangement) -> Array:
+def _image(y: Array, vantage: Vantage, given: Inputs) -> Array:
     camera, place, scale = vantage.moved(y)
-    by = _inverted(place @ arranged.placed) @ arranged.mount
-    return silhouette(_transformed(camera, by, scale), arranged.scene)
+    mount, placed = (_as_pose(x, y) for x in (given.mount, given.placed))
+    by = jnp.linalg.inv(place @ placed) @ mount
+    return silhouette(_transformed(camera, by, scale), given.scene)
 
 
 @eqx.filter_jit
-def _image_and_jacobian(y: Any, vantage: Vantage, arranged: Arrangement) -> tuple[Array, Array]:
-    both = lambda y: (lambda x: (x, x))(_image(y, vantage, arranged))
+def _image_and_jacobian(y: Any, vantage: Vantage, given: Inputs) -> tuple[Array, Array]:
+    both = lambda y: (lambda x: (x, x))(_image(y, vantage, given))
     jacobian, value = jax.jacfwd(both, has_aux=True)(y)
     return value, jacobian
 
 
-class End(NamedTuple):
-    """Where a fit ended in a view: the image's `jacobian` (H, W, n) there by moves, the image less
-    the target (H, W), and how much pixels count (H, W).
+def slope_of(
+    vantage: Vantage, given: Inputs, counted: np.ndarray, velocity: Inputs, columns: np.ndarray
+) -> Slope:
+    """The slope of a view whose pixels `counted` so much (H, W) where its fit ended, while what it
+    was given changes."""
+    film, dtype, weight = vantage.film, vantage.still.dtype, counted.astype(vantage.still.dtype)
+    seen = given._replace(target=None, weight=None)
+    image, jacobian = map(np.asarray, _image_and_jacobian(vantage.still, vantage, seen))
+    target = as_coverage(check_image("target", given.target, film.W, film.H))
+    difference = image - target.astype(dtype)
+    is_met = float(np.mean(weight * difference * difference)) ** 0.5 <= NO_RESIDUAL
 
-    `step`: of the differences that give second derivatives, in px; None where what is left of the
-    target is as good as nothing.
-    """
+    velocity = eqx.filter(velocity, eqx.is_inexact_array)
+    moves = velocity._replace(target=None, weight=None)
+    is_moving = jax.tree.map(lambda x: x is not None, moves, is_leaf=lambda x: x is None)
+    moving, fixed = eqx.partition(seen, is_moving)
+    data = jacobian, weight, difference
+    bend, rates = _derivatives(_looks(jacobian, is_met), vantage, moving, fixed, *data)
+    by_image = np.moveaxis(jacobian, -1, 0)
+    if velocity.target is not None:
+        rates = rates._replace(target=-weight * by_image)
+    if velocity.weight is not None:
+        asked = np.asarray(given.weight)
+        share = np.where(asked > 0, weight / np.where(asked > 0, asked, 1), 0)
+        rates = rates._replace(weight=(share * difference).astype(dtype) * by_image)
+    return Slope(columns, np.asarray(bend, float), _along(rates, velocity, vantage.still))
 
-    vantage: Vantage
-    arranged: Arrangement
-    jacobian: np.ndarray
-    difference: np.ndarray
-    weight: np.ndarray
-    step: float | None
 
-    def slope(self, columns: np.ndarray, counts: float, weight: Any, velocity: Any) -> Slope:
-        """How the fit's squares bend with the unknowns at `columns`, and how the data pull at them;
-        both times `counts`, the view's weight.
-
-        `weight` is the user's; `velocity` that of target, weight and `Arrangement`, None for
-        those that do not change.
-        """
-        units = np.asarray(self.vantage.units, float)
-        n, dtype, rows = len(units), self.weight.dtype, self.jacobian.astype(float)
-        bend = np.einsum("hwm,hw,hwn->mn", rows, self.weight, rows, optimize=True)
-        places = np.zeros((1, n), dtype)
-        if self.step is not None:
-            each = self.step * np.eye(n, dtype=dtype)
-            places = np.concatenate([places, each, -each])
-            slopes = np.asarray(_slopes(self, places[1:]), float)
-            bend = bend + (slopes[:n] - slopes[n:]) / (2 * self.step)
-        of_target, of_weight, moving = velocity
-        share = None
-        if of_weight is not None:
-            given = np.asarray(weight)
-            share = np.where(given > 0, self.weight / np.where(given > 0, given, 1), 0)
-        scene = eqx.filter(self.arranged.scene, False)
-        if jax.tree.leaves(moving.scene):  # (all of a scene's arrays move, or none)
-            solid = eqx.filter(self.arranged.scene, eqx.is_inexact_array)
-            still = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), solid)
-            scene = eqx.combine(moving.scene, still)
-        pull = _pull(self, places, of_target, share, of_weight, moving._replace(scene=scene))
-        bend, pull = bend / np.outer(units, units), pull / units.astype(dtype)
-        return Slope(columns, counts * bend, counts * pull)
+def _looks(jacobian: np.ndarray, is_met: bool) -> tuple[np.ndarray, ...]:
+    """The looks that make each row of second derivatives: its own column of the jacobian, and of
+    what is left, unless the target is met, the difference of two, a step ahead and behind."""
+    n, dtype = jacobian.shape[-1], jacobian.dtype
+    touched = max(int(np.sum(np.any(jacobian != 0, axis=-1))), 1)
+    size = np.sqrt(np.sum(jacobian.astype(float) ** 2, axis=(0, 1)) / touched)
+    step = STEP_PX[dtype] / np.maximum(size, max(LEAST_SHOWN * size.max(), 1e-30))
+    column, none = np.eye(n), np.zeros((n, n))
+    at = np.stack([none, np.diag(step), -np.diag(step)], axis=1)
+    looks = at, np.stack([column, none, none], axis=1), np.outer(0.5 / step, [0, 1, -1])
+    return tuple(x[:, : 1 if is_met else 3].astype(dtype) for x in looks)
 
 
 @eqx.filter_jit
-def _slopes(end: End, places: Any) -> Array:
-    """The derivative (k, n) of the image's product with what is left, at some moves."""
-    held = end.weight * end.difference
-    product = lambda y: jnp.sum(held * _image(y, end.vantage, end.arranged))
-    return jax.lax.map(jax.grad(product), places)
+def _derivatives(
+    looks: Any,
+    vantage: Vantage,
+    moving: Inputs,
+    fixed: Inputs,
+    jacobian: Any,
+    weight: Any,
+    difference: Any,
+) -> tuple[Array, Inputs]:
+    """Sums over each row's looks (n, k): the derivatives, by moves and by what is moving, of the
+    image's product with columns of the jacobian, and with what is left, both weighed."""
+
+    def derivative(look: Any) -> tuple[Array, Inputs]:
+        at, along, of_residual = look
+        image = lambda y, moving: _image(y, vantage, eqx.combine(moving, fixed))
+        held = weight * (jacobian @ along + of_residual * difference)
+        return jax.vjp(image, at, moving)[1](held)
+
+    summed = lambda row: jax.tree.map(lambda x: x.sum(axis=0), jax.lax.map(derivative, row))
+    return jax.lax.map(summed, looks)
 
 
 @eqx.filter_jit
-def _pull(
-    end: End, places: Any, of_target: Any, share: Any, of_weight: Any, moving: Arrangement
-) -> Array:
-    """The rate at which the data's velocities change the gradient (n,) while the camera stays."""
-    dtype, toward, changes = end.weight.dtype, jnp.zeros_like(end.difference), None
-    if jax.tree.leaves(moving):
-        is_moving = jax.tree.map(lambda x: x is not None, moving, is_leaf=lambda x: x is None)
-        solid, fixed = eqx.partition(end.arranged, is_moving)
-
-        def change(y: Array) -> Array:
-            image = lambda solid: _image(y, end.vantage, eqx.combine(solid, fixed))
-            return jax.jvp(image, (solid,), (moving,))[1]
-
-        changes = jax.lax.map(change, places)
-        toward = changes[0]
-    if of_target is not None:
-        toward = toward - of_target.astype(dtype)
-    toward = end.weight * toward
-    if of_weight is not None:
-        toward = toward + share.astype(dtype) * of_weight.astype(dtype) * end.difference
-    pull = jnp.einsum("hwn,hw->n", end.jacobian, toward)
-    if changes is not None and end.step is not None:
-        along = jnp.einsum("khw,hw->k", changes[1:], end.weight * end.difference)
-        ahead, behind = jnp.split(along, 2)
-        pull = pull + (ahead - behind) / (2 * end.step)
-    return pull
-
-
-def end_of(vantage: Vantage, arranged: Arrangement, target: Any, weight: np.ndarray) -> End:
-    """The end of a fit to a target, in units of moves that show as a pixel's do."""
-    film, dtype = vantage.film, np.dtype(vantage.film.e.dtype)
-    image, jacobian = _image_and_jacobian(np.zeros_like(vantage.units), vantage, arranged)
-    target = as_coverage(check_image("target", target, film.W, film.H))
-    difference, weight = np.asarray(image) - target.astype(dtype), weight.astype(dtype)
-    left = float(np.mean(weight * difference * difference)) ** 0.5
-    rows = np.asarray(jacobian)
-    touched = max(int(np.sum(np.any(rows != 0, axis=-1))), 1)
-    size = np.sqrt(np.sum(rows**2, axis=(0, 1)) / touched)
-    units = 1 / np.maximum(size, max(LEAST_SHOWN * size.max(), np.finfo(dtype).tiny))
-    vantage = eqx.tree_at(lambda v: v.units, vantage, units.astype(dtype))
-    step = STEP_PX[dtype] if left > NO_RESIDUAL else None
-    return End(vantage, arranged, (rows * units).astype(dtype), difference, weight, step)
+def _along(derivative: Inputs, velocity: Inputs, still: Any) -> Array:
+    """A derivative (n, ...) by inputs, times their velocity: moves of a type."""
+    pairs = zip(jax.tree.leaves(derivative), jax.tree.leaves(velocity), strict=True)
+    moves = (jnp.tensordot(by, v.astype(by.dtype), v.ndim).astype(still.dtype) for by, v in pairs)
+    return sum(moves, jnp.asarray(still))
 
 
 @eqx.filter_jit
 def velocity_of(vantage: Vantage, step: Array) -> tuple[Camera, Array, Array]:
     """The rates of change of a vantage's camera, object and size, with unknowns that move so."""
-    y = step / vantage.units
-    return jax.jvp(vantage.moved, (jnp.zeros_like(y),), (y,))[1]
+    return jax.jvp(vantage.moved, (jnp.zeros_like(step),), (step,))[1]
 
 
 def camera_velocity(
@@ -365,9 +311,7 @@ def camera_velocity(
 ) -> Camera:
     """The rate of change of a camera that was fitted to scene, target and weight, where pixels of
     these weights (H, W) decided."""
-    scene, of_target, of_weight = velocity
-    vantage = vantage_of(canonical(camera), camera, pose_of(camera), freed)
-    end = end_of(vantage, arrangement_of(inputs[0], camera.e.dtype), inputs[1], weight)
-    rates = of_target, of_weight, Arrangement(scene, None, None)
-    (step,) = steps_of([end.slope(np.arange(len(vantage.units)), 1.0, inputs[2], rates)])
-    return velocity_of(end.vantage, step)[0]
+    vantage = Vantage(canonical(camera), camera, pose_of(camera), freed)
+    columns = np.arange(len(vantage.still))
+    slope = slope_of(vantage, Inputs(*inputs), weight, Inputs(*velocity), columns)
+    return velocity_of(vantage, *steps_of([slope]))[0]

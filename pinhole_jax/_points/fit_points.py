@@ -12,7 +12,7 @@ from .._camera.camera import Camera, check_camera
 from .._camera.poses import pose_of
 from .._files.progress import say, shown
 from .._fit.fit_camera import check_reach, check_steps
-from .._fit.implicit import Slope, check_plain, steps_of, through, vantage_of, velocity_of
+from .._fit.implicit import Slope, Vantage, check_plain, steps_of, through, velocity_of
 from .._fit.result import (
     CameraResult,
     Progress,
@@ -203,7 +203,7 @@ def _velocity(
     problem, slopes, vantages = found.problem, [], []
     for k, (eye, matches) in enumerate(zip(problem.eyes, problem.matches, strict=True)):
         at, film = eye.canonical(found.end.state), fits[k].camera
-        vantages.append(vantage_of(at, film, pose_of(at), matches.freed))
+        vantages.append(Vantage(at, film, pose_of(at), matches.freed))
         changes = PointArrays(*(rate[k] for rate in rates))
         bend, pull = bend_and_pull(vantages[k], matches.given, changes)
         slopes.append(Slope(problem.columns(k), np.asarray(bend, float), pull))

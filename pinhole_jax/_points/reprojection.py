@@ -299,6 +299,6 @@ def bend_and_pull(vantage: Vantage, given: PointArrays, rates: PointArrays) -> t
         off = given.off(vantage.moved(y)[0])
         return jnp.sum(given.weight[:, None] * off * off) / 2
 
-    by_moves, still = jax.grad(half_squares), jnp.zeros_like(vantage.units)
+    by_moves, still = jax.grad(half_squares), jnp.asarray(vantage.still)
     pull = jax.jvp(lambda given: by_moves(still, given), (given,), (rates,))[1]
     return jax.jacfwd(by_moves)(still, given), pull
