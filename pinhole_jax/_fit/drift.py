@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from .._camera.axes import axes_of
 from .._camera.camera import Camera
+from .places import turned_by
 from .result import Fit, check_fit
 from .words import UNIT
 
@@ -92,11 +93,9 @@ def drift(fit: Fit, reference: Camera | Fit) -> Drift:
     fitted = [k for k, name in enumerate(POSE) if name in fit.names]
     if not fitted:
         raise ValueError(f"`fit`: expected one whose pose was free, got {', '.join(fit.names)}")
-    from scipy.spatial.transform import Rotation
-
     before = reference.camera if isinstance(reference, Fit) else reference
-    axes, now = axes_of(before), axes_of(fit.camera)
-    turn = axes @ Rotation.from_matrix(now.T @ axes).as_rotvec()
+    axes = axes_of(before)
+    turn = axes @ turned_by(before, fit.camera)
     shift = np.asarray(fit.camera.e, float) - np.asarray(before.e, float)
     covariance = _covariance(fit)
     if isinstance(reference, Fit):
