@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import pytest
 
 from pinhole_jax._native.library import is_available
+from pinhole_jax._scene.scene import Ball
 from pinhole_jax._solver import looks
 from pinhole_jax._solver.priors import no_prior
 from pinhole_jax._solver.problem import Problem
@@ -16,8 +17,8 @@ FREE = ("pose", "phi")
 def problem_of(scene, data) -> Problem:
     real = data.cells.dtype
     scene = jax.tree.map(lambda x: x.astype(real) if x.dtype.kind == "f" else x, scene)
-    ball = jnp.zeros(3, real), jnp.ones((), real)
-    return Problem(scene, jax.device_put(data), *ball, None, no_prior(FREE, real))
+    ball = Ball(jnp.zeros(3, real), jnp.ones((), real))
+    return Problem(scene, jax.device_put(data), ball, None, no_prior(FREE, real))
 
 
 def taken(unit, scene, data, level, size=None) -> looks.View:

@@ -204,7 +204,7 @@ class Refiner:
         """The account of the mask's edge by a camera."""
         outline = outline_seen(self.solver, camera, self.solver.finest)
         said = self.likelihood.account(outline, roughly)
-        if said is None or self.solver.prior is None:
+        if said is None or not self.solver.weighs_prior:
             return said
         return said.knowing(*self.solver.known(camera))
 

@@ -70,7 +70,7 @@ def parameter_table(fit: Any) -> ParameterTable:
     turns = dict(zip(TURNS, zip(looks.angles.tolist(), ways, strict=True), strict=True))
     rows = []
     for k, name in enumerate(fit.names):
-        _, _, unit, of = LABELS[name]
+        _, unit, of = LABELS[name]
         if of is None:
             value, words = turns[name]
         else:

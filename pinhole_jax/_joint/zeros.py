@@ -4,6 +4,7 @@ A view's program says how its pixels follow its own camera; what a joint moves i
 scene, whose motion the image of exact coverage is differentiated by.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -12,7 +13,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._camera.camera import Camera
-from .._camera.film import FilmPart
 from .._mask.pyramid import Level
 from .._scene.scene import Mesh, Scene, with_vertices
 from .._silhouette.silhouette import on_film
@@ -43,7 +43,8 @@ def with_joints(
     r: Any = np.linalg.qr(np.concatenate([table, np.zeros((n, n + 1))]), mode="r")
     if not np.all(np.isfinite(np.asarray(view.triangle))):
         r = np.full(r.shape, np.nan)
-    whole = view._replace(
+    whole = replace(
+        view,
         triangle=r[:n, :n],
         along=r[:n, n],
         by_joints=together,
@@ -77,8 +78,6 @@ def _changes(
 ) -> Float[Array, "J H W"]:
     """How the coverage of a film of a size, which holds a level's window, follows vertices."""
     film = film_of(camera, level, size)
-    if film.bend is not None:
-        film = film.looking_at(FilmPart(0, level.W, 0, level.H))
     image = lambda vertices: on_film(film, Scene(with_vertices(mesh, vertices)))
     push = lambda velocity: jax.jvp(image, (mesh.vertices,), (velocity,))[1]
     return jax.lax.map(push, velocities)

@@ -156,8 +156,8 @@ class Matches(eqx.Module):
     def _look(self, camera: Camera) -> tuple[Array, ...]:
         """R and Q^T r of the residuals (px) by moves, the reported parameters' derivative, the
         moves' sizes, and the sum of squares."""
-        about = [*map(jnp.asarray, self.ball)]
-        move = move_about(camera, about[0], about[1], None, jnp.asarray(self.H), self.freed)
+        about = Ball(*map(jnp.asarray, self.ball))
+        move = move_about(camera, about, None, jnp.asarray(self.H), self.freed)
 
         def quantities(y: Array) -> tuple[tuple[Array, Array], Array]:
             there = moved(move, y, self.freed)

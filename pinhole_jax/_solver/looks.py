@@ -4,8 +4,7 @@ The compiled library looks at what an outline touches. Elsewhere, and without it
 whole window's image and its derivatives.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -79,8 +78,8 @@ def size_of_looks(levels: list[Level]) -> Size | None:
     """The size W, H of a look's image on any of some levels; None where the library looks."""
     if is_available() and jax.default_backend() == "cpu":
         return None
-    sides = np.array([(level.W, level.H) for level in levels]).max(axis=0)
-    return _rounded_up(int(sides[0])), _rounded_up(int(sides[1]))
+    W, H = np.array([(level.W, level.H) for level in levels]).max(axis=0).tolist()
+    return _rounded_up(W), _rounded_up(H)
 
 
 def _rounded_up(side: int) -> int:
@@ -101,28 +100,29 @@ def look(
 
     def quantities(y: Array) -> tuple[Any, Any]:
         camera = moved(move, y, freed)
-        values = reported(move.camera, camera, freed)
-        drawn = sight_of(film_of(camera, level), problem.scene) if size is None else ()
+        values, film = reported(move.camera, camera, freed), film_of(camera, level, size)
+        drawn = sight_of(film, problem.scene) if size is None else _image(film, problem.scene)
         return (values, problem.prior.residuals(values), *drawn), camera
 
     (_, left, *drawn), by_move, camera = along_each(quantities, y)
     to_reported, J, *drawn_by_move = by_move
-    known = jnp.concatenate([J.T, left[:, None]], axis=1)
+    known, sight = jnp.concatenate([J.T, left[:, None]], axis=1), None
     if size is None:
         sight = Sight(*drawn, *drawn_by_move)
         of_mask = _mask_of(jnp, problem.pyramid, level)
         rows, sums = native.look(sight, known, problem.scene, of_mask, model_of(camera.lens))
     else:
-        sight, film_at = None, lambda y: film_of(moved(move, y, freed), level, size)
-        _, table, sums = _seen(film_at, y, problem.scene, problem.pyramid, level, size)
+        (coverage,), (moves,) = drawn, drawn_by_move
+        _, table, sums = _weighed(coverage, moves, problem.pyramid, level, size)
         rows = triangle_of(jnp.concatenate([table, known]))
     ok = jnp.where(lens_holds(camera, _part(level)), 1, jnp.nan).astype(y.dtype)
     facts = to_reported.T, move.scale, J.T, left @ left
     return Look(camera, rows * ok, Sums(*sums * ok), *facts, sight)
 
 
-def film_of(camera: Camera, level: Level, size: Size = (1, 1)) -> FilmMap:
-    """A camera as a map to the level's window, in its pixels, and to a film of a size."""
+def film_of(camera: Camera, level: Level, size: Size | None) -> FilmMap:
+    """A camera as a map to the level's window, in its pixels, and to a film of a size that holds
+    it; None: to no film."""
     film, scale, origin = film_map(camera), jnp.asarray(level.scale), jnp.asarray(level.origin)
     placed = lambda xyz: jnp.concatenate(
         [xyz[:2] * scale - origin.reshape(2, *(1,) * (xyz.ndim - 1)) * xyz[2:], xyz[2:]]
@@ -130,7 +130,9 @@ def film_of(camera: Camera, level: Level, size: Size = (1, 1)) -> FilmMap:
     bend = film.bend
     if bend is not None:
         bend = Bend(bend.distortion, bend.trusted, bend.focal * scale, bend.centre * scale - origin)
-    return FilmMap(film.eye, film.view, placed(film.matrix), placed(film.base), *size, bend)
+    numbers = film.eye, film.view, placed(film.matrix), placed(film.base)
+    film, part = FilmMap(*numbers, *(size or (1, 1)), bend), FilmPart(0, level.W, 0, level.H)
+    return film if size is None or bend is None else film.looking_at(part)
 
 
 def _part(level: Level) -> FilmPart:
@@ -150,25 +152,21 @@ def _mask_of(xp: Any, pyramid: Pyramid, level: Level) -> MaskLevel:
 # --- the whole window -----------------------------------------------------------------------------
 
 
-def _seen(
-    film_at: Callable[[Array], FilmMap],
-    y: Float[Array, "n"],
-    scene: Scene,
+def _image(film: FilmMap, scene: Scene) -> tuple[Float[Array, "P"]]:
+    """Coverage of each pixel of a film, from its bottom."""
+    return (in_arrays(film, scene)[::-1].reshape(-1),)
+
+
+def _weighed(
+    coverage: Float[Array, "P"],
+    moves: Float[Array, "n P"],
     pyramid: Pyramid,
     level: Level,
     size: Size,
-) -> tuple[tuple[Array, Array], Float[Array, "P k"], Float[Array, "7"]]:
-    """Coverage and weight of each pixel of an image that holds the level's window, from its bottom;
-    the table [J, r] of weighted residuals, and the sums."""
+) -> tuple[Float[Array, "P"], Float[Array, "P k"], Float[Array, "7"]]:
+    """Weight of each pixel of an image that holds the level's window, by its coverage and the
+    derivatives of that; the table [J, r] of weighted residuals, and the sums."""
     W, H = size
-
-    def image(y: Array) -> Array:
-        film = film_at(y)
-        if film.bend is not None:
-            film = film.looking_at(FilmPart(0, level.W, 0, level.H))
-        return in_arrays(film, scene)[::-1].reshape(-1)
-
-    coverage, moves, _ = along_each(lambda y: (image(y), ()), y)
     row, column = (x.reshape(-1) for x in jnp.indices((H, W), jnp.int32))
     inside = (row < level.H) & (column < level.W)
     cell = jnp.where(inside, level.start + row * (level.W + 2) + column + 1, level.start)
@@ -186,48 +184,36 @@ def _seen(
         jnp.where(shown, r * r, 0),
         shown & (jnp.abs(r) > level.explained),
     )
-    return (coverage, weight), table, jnp.stack([jnp.sum(x, dtype=y.dtype) for x in each])
+    return weight, table, jnp.stack([jnp.sum(x, dtype=r.dtype) for x in each])
 
 
 @eqx.filter_jit
 def _all_pixels(
     camera: Camera, problem: Problem, level: Level, freed: tuple[str, ...], size: Size
-) -> tuple[Array, Array, Array]:
-    """Coverage, weight and weighted [J, r] of all pixels of a level."""
-    move = problem.move(camera, level, freed)
-    film_at = lambda y: film_of(moved(move, y, freed), level, size)
+) -> Float[Array, "H W c"]:
+    """Coverage, weight and weighted [J, r] of all pixels of a level, row 0 at the bottom."""
+    move, (W, H) = problem.move(camera, level, freed), size
+    image = lambda y: (_image(film_of(moved(move, y, freed), level, size), problem.scene), ())
     y = jnp.zeros(len(components(freed)), camera.e.dtype)
-    seen, table, _ = _seen(film_at, y, problem.scene, problem.pyramid, level, size)
-    return *seen, table
+    (coverage,), (moves,), _ = along_each(image, y)
+    weight, table, _ = _weighed(coverage, moves, problem.pyramid, level, size)
+    seen = jnp.stack([coverage, weight], axis=1)
+    return jnp.concatenate([seen, table], axis=1).reshape(H, W, -1)
 
 
-def _touched(
-    seen: tuple[np.ndarray, np.ndarray, np.ndarray], level: Level, size: Size
-) -> TouchedPixels:
-    """Those pixels of an image (H, W), row 0 at the bottom, that an outline touches."""
-    (W, H), (w, h) = size, (int(level.W), int(level.H))
-    cut = lambda x: np.asarray(x, float).reshape(H, W, -1)[:h, :w]
-    image, weights, rows = map(cut, seen)
-    image, weights = image[..., 0], weights[..., 0]
-    touched = ((image > 0) & (image < 1)) | np.any(rows[..., :-1] != 0, axis=-1)
-    covered = ~touched & (image > 0.5)
+def _touched(seen: np.ndarray, level: Level) -> TouchedPixels:
+    """Those of all pixels (H, W, c) that an outline touches."""
+    seen = seen[: int(level.H), : int(level.W)].astype(float)
+    coverage, moves = seen[..., 0], seen[..., 2:-1]
+    touched = ((coverage > 0) & (coverage < 1)) | np.any(moves != 0, axis=-1)
+    covered = ~touched & (coverage > 0.5)
     # (Where a row's first pixel is covered, what lies left of it says so.)
-    cells = np.zeros((h, w + 2), bool)
-    cells[:, 1:-1], cells[:, 0] = touched, covered[:, 0]
-    spread = lambda x, *more: np.pad(x, ((0, 0), (1, 1), *more))
-    after = np.zeros((h, w + 2), bool)
-    after[:, :-2] = covered
-    chosen = cells.reshape(-1)
-    of = lambda x: x.reshape(h * (w + 2), -1)[chosen]
-    return TouchedPixels(
-        np.flatnonzero(chosen),
-        of(spread(image))[:, 0],
-        of(spread(weights))[:, 0],
-        of(spread(rows[..., -1]))[:, 0],
-        of(after)[:, 0],
-        False,
-        of(spread(rows[..., :-1], (0, 0))),
-    )
+    chosen = np.column_stack([covered[:, 0], touched, np.zeros(len(seen), bool)])
+    after = np.pad(covered, ((0, 0), (0, 2)))[chosen]
+    rows = np.pad(seen, ((0, 0), (1, 1), (0, 0)))[chosen]
+    coverage, weight, residual = rows[:, [0, 1, -1]].T
+    cell = np.flatnonzero(chosen)
+    return TouchedPixels(cell, coverage, weight, residual, after, False, rows[:, 2:-1])
 
 
 # --- what a fit keeps -----------------------------------------------------------------------------
@@ -251,8 +237,8 @@ class Origin:
             of_mask = _mask_of(np, problem.pyramid, level)
             return native.pixels(sight, problem.scene, of_mask, model_of(camera.lens))
         assert self.size is not None
-        seen = jax.device_get(_all_pixels(camera, problem, level, self.freed, self.size))
-        return _touched(seen, level, self.size)
+        seen = _all_pixels(camera, problem, level, self.freed, self.size)
+        return _touched(np.asarray(seen), level)
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,16 +261,10 @@ class View:
     @classmethod
     def from_origin(cls, origin: Origin) -> "View":
         """The view of a look."""
-        look = origin.look
-        rows, n = np.asarray(look.rows), len(look.scale)
-        sums: Sums = jax.tree.map(np.asarray, look.sums)
-        to_reported, scale, known = map(np.asarray, (look.to_reported, look.scale, look.known))
+        rows, sums, to_reported, scale, known, prior = jax.device_get(origin.look[1:-1])
+        n = len(scale)
         own = rows[:n, :n], rows[:n, n], sums
-        return cls(*own, to_reported, scale, known, float(look.prior), origin)
-
-    def _replace(self, **changes: Any) -> "View":
-        """The view with other values, as of a named tuple: views of points are such."""
-        return replace(self, **changes)
+        return cls(*own, to_reported, scale, known, float(prior), origin)
 
     @property
     def camera(self) -> Camera:

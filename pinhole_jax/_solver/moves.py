@@ -11,9 +11,19 @@ from jaxtyping import Array, Float
 from .._camera.axes import axes_of
 from .._camera.camera import Camera, camera_basis, focal_px, principal_point
 from .._camera.lens import Lens
+from .._camera.poses import at_pose, exponential, pose_of, rigid
 from .._numerics.arrays import as_numpy
 from .._numerics.safe import norm, safe_divide, safe_sqrt, times
-from .parameters import AXES, COMPONENTS, LABELS, PARAMETERS, TABLE, Scale, components, labels_of
+from .parameters import (
+    AXES,
+    COMPONENTS,
+    LABELS,
+    PARAMETERS,
+    TABLE,
+    Scale,
+    components,
+    labels_of,
+)
 
 #: Where the corner of a film is, in film heights from the middle.
 CORNER = 0.8
@@ -32,14 +42,10 @@ class Bounds(eqx.Module):
         """Return a moved camera brought within the bounds: moves begin as they are, and a parameter
         swings to and fro where they would lead it out (as MINUIT's: a sine)."""
         middle, half = (self.high + self.low) / 2, (self.high - self.low) / 2
-        values = []
-        for k, (before, after) in enumerate(
-            zip(self._leaves(start), self._leaves(moved), strict=True)
-        ):
-            at = jax.lax.stop_gradient(jnp.clip((before - middle[k]) / half[k], -ALMOST, ALMOST))
-            angle = jnp.arcsin(at) + (after - before) / half[k]
-            values.append(middle[k] + half[k] * jnp.sin(angle))
-        return eqx.tree_at(self._leaves, moved, values)
+        before, after = (jnp.stack(self._leaves(camera)) for camera in (start, moved))
+        at = jax.lax.stop_gradient(jnp.clip((before - middle) / half, -ALMOST, ALMOST))
+        values = middle + half * jnp.sin(jnp.arcsin(at) + (after - before) / half)
+        return eqx.tree_at(self._leaves, moved, [*values])
 
     def ended(self, camera: Camera) -> tuple[str, ...]:
         """Return which parameters are at an end of theirs, to 1e-4 of the way between."""
@@ -76,9 +82,10 @@ def scales(
     """
     focal = focal_px(camera)[1]
     distortion = None if camera.lens is None else camera.lens.distortion
+    pixel, spread = 1 / (focal * scale), safe_divide(radius, norm(pivot - camera.e))
     here = Scale(
-        pixel=1 / (focal * scale),
-        spread=jnp.clip(safe_divide(radius, norm(pivot - camera.e)), 1e-3, 1),
+        pixel=pixel,
+        far=pixel / jnp.clip(spread, 1e-3, 1),
         film=1 / jnp.asarray(scale),
         corner=CORNER / focal,
         powers={} if distortion is None else distortion.powers,
@@ -88,16 +95,12 @@ def scales(
 
 def moved(move: Move, y: Float[Array, "n"], free: tuple[str, ...]) -> Camera:
     """Return the camera moved by y (in units of `move.scale`); a rigid motion keeps the gauge."""
-    step, camera = y * move.scale, move.camera
-    by_name = dict(zip(components(free), step, strict=True))
+    camera, step = move.camera, dict(zip(components(free), y * move.scale, strict=True))
     if not {"pose", "position", "orientation"}.isdisjoint(free):
-        camera = _moved_rigidly(camera, move.pivot, by_name)
-    first = 0
-    for name in free:
-        row = PARAMETERS[name]
-        part = step[first : first + len(row.components)]
-        first += len(row.components)
+        camera = _moved_rigidly(camera, move.pivot, step)
+    for row in (PARAMETERS[name] for name in free):
         for leaf in row.leaves:
+            part = jnp.stack([step[component.name] for component in row.components])
             camera = eqx.tree_at(leaf.of, camera, leaf.moved(leaf.of(camera), part))
     return camera if move.bounds is None else move.bounds.into(move.camera, camera)
 
@@ -154,12 +157,9 @@ def displaced(camera: Camera, labels: tuple[str, ...], step: np.ndarray) -> Came
         raise ValueError(f"`fit`: expected known parameters, got {unknown}")
     change = dict(zip(labels, step.tolist(), strict=True))
     of = lambda kind, names: np.array([change.get(f"{kind}_{x}", 0.0) for x in names])
-    e, p, u = (np.asarray(x, float) for x in (camera.e, camera.p, camera.u))
-    turn = jnp.asarray(of("rotation", AXES) @ axes_of(camera), camera.e.dtype)
-    turned = np.asarray(_rotation(turn), float)
-    eye = e + of("e", "xyz")
-    pose = [np.asarray(x, camera.e.dtype) for x in (eye, eye + turned @ (p - e), turned @ u)]
-    camera = eqx.tree_at(lambda c: [c.e, c.p, c.u], camera, pose)
+    turn, pose = of("rotation", AXES) @ axes_of(camera), pose_of(camera)
+    turned = exponential(np.append(turn, np.zeros(3)))[:3, :3] @ pose[:3, :3]
+    camera = at_pose(camera, rigid(turned, pose[:3, 3] + of("e", "xyz")))
     for row in TABLE:
         if not row.leaves or row.labels[0].name not in change:
             continue
@@ -177,22 +177,11 @@ def displaced(camera: Camera, labels: tuple[str, ...], step: np.ndarray) -> Came
 def rotation(vector: Float[Array, "3"]) -> Float[Array, "3 3"]:
     """Return the rotation matrix about a vector by its length in rad (Rodrigues)."""
     x, y, z = vector
-    zero = jnp.zeros_like(x)
+    zero, angle = jnp.zeros_like(x), safe_sqrt(x * x + y * y + z * z)
     skew = jnp.stack([jnp.stack([zero, -z, y]), jnp.stack([z, zero, -x]), jnp.stack([-y, x, zero])])
-    squared = x * x + y * y + z * z
-    angle = safe_sqrt(squared)
-    small = squared < 1e-4
-    # sin(a)/a and (1 - cos(a))/a^2, by their series where the quotients lose digits.
-    series_a = 1 - squared / 6 * (1 - squared / 20)
-    series_b = (1 - squared / 12 * (1 - squared / 30)) / 2
-    a = jnp.where(small, series_a, safe_divide(jnp.sin(angle), angle))
-    half = safe_divide(jnp.sin(angle / 2), angle)
-    b = jnp.where(small, series_b, 2 * half * half)
+    # sin(a)/a and (1 - cos(a))/a^2
+    a, b = jnp.sinc(angle / jnp.pi), jnp.sinc(angle / (2 * jnp.pi)) ** 2 / 2
     return jnp.eye(3, dtype=vector.dtype) + a * skew + b * times(skew, skew)
-
-
-#: The same as one program, for an array that is there.
-_rotation = eqx.filter_jit(rotation)
 
 
 def canonical(camera: Camera) -> Camera:

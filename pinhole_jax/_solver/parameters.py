@@ -11,6 +11,7 @@ Focal length and distance are logarithmic: no step makes them negative.
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -24,15 +25,15 @@ from .._camera.lens import Lens, check_lens
 class Scale(NamedTuple):
     """What a pixel is, where a camera is.
 
-    - `pixel`: the angle (rad) that a pixel takes in the middle of the film.
-    - `spread`: how large the object looks, between 1e-3 and 1: the tangent of half its angle.
+    - `pixel`: the angle (rad) that a pixel takes in the middle of the film; `far`: the same as the
+      object's radius has it, seen from where the camera is.
     - `film`: a pixel in film heights.
     - `corner`: the film's corner in focal lengths from the middle.
     - `powers`: the power of the radius that each coefficient of the distortion bends with.
     """
 
     pixel: Array
-    spread: Array
+    far: Array
     film: Array
     corner: Array
     powers: Mapping[str, int]
@@ -49,11 +50,10 @@ class Component(NamedTuple):
 
 
 class Label(NamedTuple):
-    """A parameter as it is reported: its name, what it is called, its unit ("rad", "world", "px" or
-    ""), and its value, None for a small turn."""
+    """A parameter as it is reported: its name, its unit ("rad", "world", "px" or ""), and its
+    value, None for a small turn."""
 
     name: str
-    words: str
     unit: str
     value: Callable[[Camera], Array] | None = None
 
@@ -94,96 +94,68 @@ def _narrowed(phi: Array, step: Array) -> Array:
     return 2 * jnp.arctan(jnp.tan(phi / 2) / jnp.exp(step[0]))
 
 
-def _pixel(scale: Scale) -> Array:
-    return scale.pixel
-
-
-def _far_pixel(scale: Scale) -> Array:
-    return scale.pixel / scale.spread
-
-
-def _film_pixel(scale: Scale) -> Array:
-    return scale.film
-
-
+PIXEL, FAR_PIXEL, FILM_PIXEL = map(attrgetter, ("pixel", "far", "film"))
 AXES = ("b1", "b2", "v")
-TURNS = tuple(Component(f"turn_{b}", "rotation", _far_pixel, is_turn=True) for b in AXES)
+TURNS = tuple(Component(f"turn_{b}", "rotation", FAR_PIXEL, is_turn=True) for b in AXES)
 SPINS = tuple(
     Component(f"spin_{b}", "the camera's turn", size, is_turn=True)
-    for b, size in zip(AXES, (_pixel, _pixel, _far_pixel), strict=True)
+    for b, size in zip(AXES, (PIXEL, PIXEL, FAR_PIXEL), strict=True)
 )
 PLACE = (
-    *(Component(f"shift_{b}", "the sideways shift", _pixel) for b in AXES[:2]),
-    Component("log_distance", "the distance", _far_pixel),
+    *(Component(f"shift_{b}", "the sideways shift", PIXEL) for b in AXES[:2]),
+    Component("log_distance", "the distance", FAR_PIXEL),
 )
-FOCAL = (Component("log_focal", "the focal length", _far_pixel),)
+FOCAL = Component("log_focal", "the focal length", FAR_PIXEL)
 
-ROTATION = (
-    Label("rotation_b1", "pitch (about b1, right)", "rad"),
-    Label("rotation_b2", "yaw (about b2, up)", "rad"),
-    Label("rotation_v", "roll (about v, forward)", "rad"),
-)
-EYE = (
-    Label("e_x", "e_x", "world", lambda c: c.e[0]),
-    Label("e_y", "e_y", "world", lambda c: c.e[1]),
-    Label("e_z", "e_z", "world", lambda c: c.e[2]),
+ROTATION = tuple(Label(f"rotation_{b}", "rad") for b in AXES)
+EYE = tuple(Label(f"e_{x}", "world", lambda c, k=k: c.e[k]) for k, x in enumerate("xyz"))
+D, PHI, ASPECT, PRINCIPAL_POINT = map(
+    attrgetter, ("d", "phi", "lens.aspect", "lens.principal_point")
 )
 
 
-def _principal_point() -> Parameter:
-    where = lambda c: c.lens.principal_point
+def _number(
+    name: str,
+    component: Component,
+    unit: str,
+    value: Callable[[Camera], Array],
+    moved: Callable[[Array, Array], Array],
+) -> Parameter:
     return Parameter(
-        "principal_point",
-        tuple(Component(f"principal_{x}", f"the principal point's {x}", _film_pixel) for x in "xy"),
-        tuple(
-            Label(f"principal_{x}", f"principal point {x}", "px", lambda c, k=k: where(c)[k])
-            for k, x in enumerate("xy")
-        ),
-        (Leaf(where, _added),),
-        shared=True,
+        name, (component,), (Label(name, unit, value),), (Leaf(value, moved),), True, True
     )
 
 
 def _coefficient(name: str) -> Parameter:
-    value = lambda c: getattr(c.lens.distortion, name)
     size = lambda scale: scale.pixel / scale.corner ** scale.powers[name]
-    return Parameter(
-        name,
-        (Component(name, name, size),),
-        (Label(name, name, "", value),),
-        (Leaf(value, _added),),
-        bounded=True,
-        shared=True,
-    )
+    value = attrgetter(f"lens.distortion.{name}")
+    return _number(name, Component(name, name, size), "", value, _added)
 
 
 TABLE = (
     Parameter("pose", (*TURNS, *PLACE), (*ROTATION, *EYE)),
     Parameter("position", PLACE, EYE),
     Parameter("orientation", SPINS, ROTATION),
-    Parameter(
-        "phi",
-        FOCAL,
-        (Label("phi", "phi, vertical field of view", "rad", lambda c: c.phi),),
-        (Leaf(lambda c: c.phi, _narrowed),),
-        bounded=True,
-        shared=True,
-    ),
+    _number("phi", FOCAL, "rad", PHI, _narrowed),
     Parameter(
         "d",
-        FOCAL,
-        (Label("d", "d", "world", lambda c: c.d),),
-        (Leaf(lambda c: c.d, _stretched), Leaf(lambda c: c.phi, _narrowed)),
+        (FOCAL,),
+        (Label("d", "world", D),),
+        (Leaf(D, _stretched), Leaf(PHI, _narrowed)),
         shared=True,
     ),
-    _principal_point(),
     Parameter(
-        "aspect",
-        (Component("log_aspect", "the pixel aspect", _far_pixel),),
-        (Label("aspect", "aspect", "", lambda c: c.lens.aspect),),
-        (Leaf(lambda c: c.lens.aspect, _stretched),),
-        bounded=True,
+        "principal_point",
+        tuple(Component(f"principal_{x}", f"the principal point's {x}", FILM_PIXEL) for x in "xy"),
+        tuple(
+            Label(f"principal_{x}", "px", lambda c, k=k: PRINCIPAL_POINT(c)[k])
+            for k, x in enumerate("xy")
+        ),
+        (Leaf(PRINCIPAL_POINT, _added),),
         shared=True,
+    ),
+    _number(
+        "aspect", Component("log_aspect", "the pixel aspect", FAR_PIXEL), "", ASPECT, _stretched
     ),
     *map(_coefficient, COEFFICIENTS),
 )

@@ -2,6 +2,7 @@
 
 import functools
 from collections.abc import Mapping
+from dataclasses import KW_ONLY
 from typing import Any
 
 import equinox as eqx
@@ -20,18 +21,20 @@ Pair = tuple[ArrayLike, ArrayLike]
 
 class Prior(eqx.Module):
     """What is known of reported parameters (n,) beforehand, or by other views: residuals that are
-    linear in these."""
+    linear in these; whether they are in standard deviations, or count as the mask's do."""
 
     rows: Float[Array, "n n"]
     at: Float[Array, "n"]
     left: Float[Array, "n"]
+    _: KW_ONLY
+    in_sigmas: bool = eqx.field(static=True, default=False)
 
     def residuals(self, values: Float[Array, "n"]) -> Float[Array, "n"]:
         """The residuals at the parameters' values."""
         return self.rows @ (values - self.at) + self.left
 
     def times(self, noise: np.ndarray) -> "Prior":
-        """The same, in units in which its residuals err by a noise."""
+        """The same, as residuals of a mask that errs by a noise."""
         return Prior(self.rows * noise, self.at, self.left * noise)
 
 
@@ -56,7 +59,7 @@ def prior_of(prior: Mapping[str, Any] | None, base: Camera, freed: tuple[str, ..
     size, at = np.zeros((2, len(labels)))
     size[place], at[place] = unit / std, mean / unit
     to = lambda x: jnp.asarray(x, base.e.dtype)
-    return Prior(to(np.diag(size)), to(at), to(0 * at))
+    return Prior(to(np.diag(size)), to(at), to(0 * at), in_sigmas=True)
 
 
 def bounds_of(

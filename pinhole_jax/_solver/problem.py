@@ -4,12 +4,11 @@ from typing import Any
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Float
 
 from .._camera.camera import Camera
 from .._mask.kinds import RESOLVED
 from .._mask.pyramid import Level, Pyramid
-from .._scene.scene import Scene
+from .._scene.scene import Ball, Scene
 from .moves import Bounds, Move, scales
 from .priors import Prior
 
@@ -31,25 +30,19 @@ class Problem(eqx.Module):
 
     scene: Scene
     pyramid: Pyramid
-    pivot: Float[Array, "3"]
-    radius: Float[Array, ""]
+    ball: Ball
     bounds: Bounds | None
     prior: Prior
 
     def move(self, camera: Camera, level: Level, freed: tuple[str, ...]) -> Move:
         """Where moves of a camera start, in the solver's units."""
-        about = self.pivot, self.radius, self.bounds
-        return move_about(camera, *about, level.scale, freed)
+        return move_about(camera, self.ball, self.bounds, level.scale, freed)
 
 
 def move_about(
-    camera: Camera,
-    pivot: Float[Array, "3"],
-    radius: Float[Array, ""],
-    bounds: Bounds | None,
-    scale: Any,
-    freed: tuple[str, ...],
+    camera: Camera, ball: Ball, bounds: Bounds | None, scale: Any, freed: tuple[str, ...]
 ) -> Move:
-    """The origin of a camera's moves, in the solver's units, from a problem's view of it
-    and a level's scale."""
-    return Move(camera, pivot, UNIT_PX * scales(camera, pivot, radius, scale, freed), bounds)
+    """The origin of a camera's moves about a ball, in the solver's units where a film height has
+    this many pixels."""
+    units = UNIT_PX * scales(camera, ball.centre, ball.radius, scale, freed)
+    return Move(camera, ball.centre, units, bounds)

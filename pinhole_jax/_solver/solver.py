@@ -17,10 +17,10 @@ from .._mask.target import Window, object_window
 from .._numerics.threads import in_threads, some_at_once
 from .._scene.alike import Revolution
 from .looks import Origin, View, size_of_looks
-from .moves import Bounds, Move, moved, reported
+from .moves import Bounds, moved, reported
 from .priors import Prior, no_prior
 from .problem import COARSE_PX, FINE_PX, SETTLED, Problem, move_about
-from .store import Levels, LevelsKey, Store
+from .store import Levels, Store
 from .subject import Subject
 
 #: A step that is negligible (px) where a fit goes on to fewer pixels: half as many steps as to
@@ -68,8 +68,7 @@ class Solver:
     it keeps of its mask is in its `store`, which they share.
 
     - `target`: the mask (H, W); `weights`: how much its pixels count; `kind`: its kind.
-    - `freed`: what is free; `bounds` and `prior`: what is known of it; `others`: what other views
-      know.
+    - `freed`: what is free; `bounds` and `prior`: what is known of it, or what other views know.
     - `max_steps`: the most steps on a level; `fine_px`: what step is negligible on the finest.
     - `record`: whether the way is to hold each step.
     - `only_finest`: whether there is but one level, the finest.
@@ -86,7 +85,6 @@ class Solver:
     store: Store
     bounds: Bounds | None = None
     prior: Prior | None = None
-    others: Prior | None = None
     record: bool = False
     only_finest: bool = False
     walked: list[tuple[Camera, Revolution, list[Solution]]] = field(
@@ -123,12 +121,12 @@ class Solver:
         return replace(self, weights=weights, target=target, only_finest=only_finest)
 
     def beside(self, others: Prior) -> "Solver":
-        """Return the solver to which what other views know counts. They weigh the prior, too."""
-        return replace(self, others=others)
+        """Return the solver to which what other views know counts."""
+        return replace(self, prior=others)
 
     def like(self, kind: Kind) -> "Solver":
-        """A solver for masks of another kind, which shares nothing with this one."""
-        return replace(self, kind=kind, store=self.store.copy())
+        """Return the solver for masks of another kind."""
+        return replace(self, kind=kind)
 
     @property
     def dtype(self) -> np.dtype:
@@ -137,9 +135,8 @@ class Solver:
 
     @property
     def _levels(self) -> Levels:
-        window = self.store.window
-        key = LevelsKey(self.target, self.weights, self.kind.explained, window, self.only_finest)
-        return self.store.levels(key, self.dtype)
+        asked = self.kind.explained, self.only_finest, self.dtype
+        return self.store.levels(self.target, self.weights, *asked)
 
     @property
     def levels(self) -> list[Level]:
@@ -155,22 +152,20 @@ class Solver:
     def far(self) -> int:
         """Return the number of the level on which what is far away is looked for: the finest where
         a prior or other views count, whose residuals are weighed against that level's."""
-        alone = self.prior is None and self.others is None
-        return min(FAR_LEVEL, self.finest) if alone else self.finest
+        return min(FAR_LEVEL, self.finest) if self.prior is None else self.finest
 
     @property
     def problem(self) -> Problem:
         """The problem that the fit's programs solve, beside a camera and a level."""
-        known = self.others or no_prior(self.freed, self.dtype)
-        if self._weighs_prior():
-            assert self.prior is not None
+        known = self.prior or no_prior(self.freed, self.dtype)
+        if known.in_sigmas:
             noise = UNSEEN_NOISE if self.store.noise is None else self.store.noise
-            known = self.prior.times(np.asarray(noise, self.dtype))
-        (pivot, radius), pyramid = self.subject.pivot, self._levels.pyramid
-        return Problem(self.subject.scene, pyramid, pivot, radius, self.bounds, known)
+            known = known.times(np.asarray(noise, self.dtype))
+        subject, pyramid = self.subject, self._levels.pyramid
+        return Problem(subject.scene, pyramid, subject.pivot, self.bounds, known)
 
     @property
-    def counted(self) -> float:
+    def counted(self) -> int:
         """The number of the finest level's pixels that have weight."""
         return self._levels.counted
 
@@ -194,8 +189,10 @@ class Solver:
         to_reported = np.asarray(self.look(camera, self.finest).to_reported, float)
         return np.asarray(off, float), np.asarray(self.prior.rows, float) @ to_reported
 
-    def _weighs_prior(self) -> bool:
-        return self.prior is not None and self.others is None
+    @property
+    def weighs_prior(self) -> bool:
+        """True if a prior is weighed against the mask."""
+        return self.prior is not None and self.prior.in_sigmas
 
     def _heed(self, misfit: float) -> None:
         """Weigh a prior by the mean square that a touched pixel's residual errs by, from now on."""
@@ -213,20 +210,16 @@ class Solver:
         H, W = self.target.shape
         return self.subject.within(self.store.window, camera, W, H)
 
-    def move(self, camera: Camera, level: int) -> Move:
-        """The origin of a camera's moves, in the solver's units."""
-        about = *self.subject.pivot, self.bounds, self.levels[level].scale
-        return _move(camera, *about, self.freed)
-
     def step(self, camera: Camera, level: int, y: np.ndarray) -> Camera:
         """Return the camera moved by y (n,) in the solver's units."""
-        return _moved(self.move(camera, level), np.asarray(y, self.dtype), self.freed)
+        about = self.subject.pivot, self.bounds, self.levels[level].scale, self.freed
+        return _stepped(np.asarray(y, self.dtype), camera, *about)
 
     def solve(
         self,
         camera: Camera,
         levels: Sequence[int],
-        on_stop: Callable[[Stop], None] | None = None,
+        on_stop: Callable[[Stop], None] = lambda stop: None,
         coarse_px: float = COARSE_PX,
         fine_px: float | None = None,
         steps: int | None = None,
@@ -242,25 +235,25 @@ class Solver:
         while True:
             window = self.store.window
             for number in levels:
-                if self._weighs_prior():
+                if self.weighs_prior:
                     self._heed(self.look(camera, number).touched_misfit)
                 level = self.levels[number]
                 finest = number == self.finest
                 tolerance = (fine_px or self.fine_px) if finest else coarse_px
                 n, path, end = self._further(camera, level, tolerance, most)
-                stop = Stop(end.camera, level, n)
-                stops = self._each_step(camera, number, stop, path) if self.record else [stop]
+                # (Steps past `RECORDED` are told together.)
+                each = path[max(len(path) - n, 0) : -1] if self.record else ()
+                stops = [Stop(self.step(camera, number, y), level, 1) for y in each]
+                stops.append(Stop(end.camera, level, n - len(each)))
                 way += stops
-                if self._weighs_prior():
+                if self.weighs_prior:
                     self._heed(end.touched_misfit)
                 camera = end.camera
-                taken.append(stop.steps)
-                if on_stop is not None:
-                    for passed in stops:
-                        on_stop(passed)
+                taken.append(n)
+                for stop in stops:
+                    on_stop(stop)
             # (What a descent saw last is differentiated by moves of where it began.)
             view = self.look(camera, levels[-1])
-            self._widen(camera)
             if self.store.window == window:
                 return Solution(camera, view, tuple(taken), tuple(way), taken[-1] < most)
             # The view outgrew its window on the way: go on from there with a larger one.
@@ -304,13 +297,7 @@ class Solver:
         origin = Origin(look, given[1], level, self.freed, given[-1])
         return int(n), np.asarray(path), View.from_origin(origin)
 
-    def _each_step(self, camera: Camera, level: int, end: Stop, path: np.ndarray) -> list[Stop]:
-        """The end of each step of a level; those past `RECORDED` together."""
-        before = path[: max(end.steps - 1, 0)]
-        each = [Stop(self.step(camera, level, y), end.level, 1) for y in before]
-        return [*each, end._replace(steps=end.steps - len(each))]
 
-
-#: As programs, for cameras that are there.
-_move: Any = eqx.filter_jit(move_about)
-_moved: Any = eqx.filter_jit(moved)
+@eqx.filter_jit
+def _stepped(y: Any, camera: Camera, *about: Any) -> Camera:
+    return moved(move_about(camera, *about), y, about[-1])

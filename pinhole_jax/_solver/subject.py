@@ -36,13 +36,12 @@ class Subject:
         box = np.asarray(bounding_box(scene), float)
         ball = ball_about(box)
         pivot = Ball(*(jnp.asarray(np.asarray(x, dtype), dtype) for x in ball))
-        return cls(scene, _worked_on(scene, np.dtype(dtype)), ball, pivot, _corners(box))
+        corners = np.stack(np.meshgrid(*box.T, indexing="ij"), axis=-1).reshape(8, 3)
+        return cls(scene, padded(astype(scene, np.dtype(dtype))), ball, pivot, corners)
 
     def elsewhere(self, scene: Scene) -> "Subject":
         """Return the subject with its vertices elsewhere; moves are taken as before."""
-        box = np.asarray(bounding_box(scene), float)
-        worked_on = _worked_on(scene, self.dtype)
-        return replace(self, given=scene, scene=worked_on, corners=_corners(box))
+        return replace(self.from_scene(scene, self.dtype), ball=self.ball, pivot=self.pivot)
 
     @property
     def dtype(self) -> np.dtype:
@@ -68,28 +67,12 @@ class Subject:
         film, as far as a box about the scene tells."""
         if window == (0, 0, W, H):
             return True
-        if camera.lens is not None and camera.lens.distortion is not None:
+        lens = camera.lens
+        assert lens is not None
+        if lens.distortion is not None:
             return False
-        x, y, z = on_film_plane(camera, self.corners).T
-        shown = H * np.stack([x / z, y / z], axis=-1)
-        return bool(np.all(z > 0) and window.holds(shown, W, H))
-
-
-def on_film_plane(camera: Camera, points: np.ndarray) -> np.ndarray:
-    """Return homogeneous film points (n, 3) of a canonical camera, in film heights."""
-    seen = (points - np.asarray(camera.e, float)) @ axes_of(camera).T
-    focal = 0.5 / np.tan(float(camera.phi) / 2)
-    if camera.lens is None:
-        aspect, centre = 1.0, np.array([camera.W / 2 / camera.H, 0.5])
-    else:
-        aspect, centre = float(camera.lens.aspect), np.asarray(camera.lens.principal_point, float)
-    scale = np.array([focal * aspect, focal])
-    return np.column_stack([seen[:, :2] * scale + centre * seen[:, 2:], seen[:, 2]])
-
-
-def _worked_on(scene: Scene, dtype: np.dtype) -> Scene:
-    return padded(astype(scene, dtype))
-
-
-def _corners(box: np.ndarray) -> np.ndarray:
-    return np.stack(np.meshgrid(*box.T, indexing="ij"), axis=-1).reshape(8, 3)
+        seen = (self.corners - np.asarray(camera.e, float)) @ axes_of(camera).T
+        focal, depth = 0.5 / np.tan(float(camera.phi) / 2), seen[:, 2:]
+        at = focal * np.array([float(lens.aspect), 1]) * seen[:, :2] / depth
+        shown = H * (at + np.asarray(lens.principal_point, float))
+        return bool(np.all(depth > 0) and window.holds(shown, W, H))

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from .._rules import RULES
+from .heading import carried
 from .parameters import COMPONENTS
 
 #: Singular values under this share of the largest count as no information at all ...
@@ -25,18 +26,19 @@ def covariance(
     the sandwich (Huber 1967). A parameter that moves along a direction which changes no pixel has
     infinite variance, and no covariance (NaN).
     """
+    values, share, directions = shown(triangle)
+    seen = share > blind
+    back = directions[seen] / values[seen][:, None] ** 2
+    of_directions = np.diag(np.full(len(values), np.inf))
+    of_directions[np.ix_(seen, seen)] = back @ gradient @ back.T
+    return carried(of_directions, to_reported @ directions.T)
+
+
+def shown(triangle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return how much each direction of moves shows, the best-seen one first; its share of that;
+    and the directions (n, n)."""
     _, values, directions = np.linalg.svd(triangle)
-    seen = values > blind * max(values[0], np.finfo(values.dtype).tiny)
-    root = to_reported @ directions[seen].T / values[seen]
-    middle = directions[seen] / values[seen][:, None]
-    result = root @ (middle @ gradient @ middle.T) @ root.T
-    lost = to_reported @ directions[~seen].T
-    size = np.linalg.norm(to_reported, axis=1, keepdims=True)
-    unknown = np.any(np.abs(lost) > 1e-6 * np.maximum(size, 1e-300), axis=1)
-    result[unknown, :] = np.nan
-    result[:, unknown] = np.nan
-    result[unknown, unknown] = np.inf
-    return result
+    return values, values / max(values[0], np.finfo(values.dtype).tiny), directions
 
 
 def weak_directions(
@@ -67,19 +69,17 @@ def weak_moves(
 ) -> list[tuple[float, np.ndarray]]:
     """Return the singular values and directions (n,) of turns and shifts that show less than a
     share of the best-seen move, the least last."""
-    _, values, directions = np.linalg.svd(triangle)
     pose = np.array([c.split("_")[0] in ("turn", "spin", "shift") for c in components])
-    top = max(values[0], np.finfo(values.dtype).tiny)
-    pairs = zip(values, directions, strict=True)
-    most = (weak or RULES.weak) * top
-    return [(s, d) for s, d in pairs if s < most and np.linalg.norm(d[pose]) > 0.7]
+    values, share, directions = shown(triangle)
+    some = (share < (weak or RULES.weak)) & (np.linalg.norm(directions[:, pose], axis=1) > 0.7)
+    return [*zip(values[some], directions[some], strict=True)]
 
 
 def free_turns(triangle: np.ndarray, components: list[str], axes: np.ndarray) -> np.ndarray:
     """Return the axes (k, 3), in the world, of turns about the object that hardly show."""
     turns = [k for k, c in enumerate(components) if c.startswith("turn")]
-    _, values, directions = np.linalg.svd(triangle)
-    hidden = directions[values < UNSEEN * max(values[0], np.finfo(values.dtype).tiny)]
+    _, share, directions = shown(triangle)
+    hidden = directions[share < UNSEEN]
     _, size, vectors = np.linalg.svd(hidden[:, turns] @ axes if turns else np.zeros((0, 3)))
     return vectors[: np.sum(size > 0.3)]
 
