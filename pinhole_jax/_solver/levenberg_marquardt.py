@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from .._camera.camera import Camera
 from .._mask.pyramid import Level
 from .looks import look
+from .moves import Move
 from .parameters import components
 from .problem import COSINE, UNIT_PX, Problem
 
@@ -85,7 +86,7 @@ def descended(camera: Camera, problem: Problem, level: Level, px, settled, steps
     step (which evaluates the start) that is at the start.
     """
 
-    def residual(y: Float[Array, "n"], args: Any):
+    def residual(y: Float[Array, "n"], args: tuple[Move, Problem, Level]):
         # It is linear in y about each point, so its Jacobian is a table that is worked out once a
         # step: R of [J, r] = Q R, whose few rows have the sums of squares, and all that steps are
         # made of, of the thousands.
