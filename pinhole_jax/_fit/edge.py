@@ -9,7 +9,7 @@ import numpy as np
 from .._camera.camera import Camera
 from .._mask.mask import Mask
 from .._mask.target import as_coverage, inside_of
-from .._outline.stretches import outline_means, outline_pixels
+from .._outline.stretches import Blocks, OutlinePixels, outline_means
 from .._solver.solver import Solver
 
 #: The normals of a mask's edge are those of a mask that is smoothed over this many px.
@@ -52,13 +52,11 @@ class Edge:
         """Which of its points (k,) is the nearest to each of some (k, 2)."""
         return self._tree.query(points)[1]
 
-    def blocks(self, number: int, shortest: float) -> "Blocks":
+    def blocks(self, number: int, shortest: float) -> Blocks:
         """The edge cut into about `number` blocks, each at least `shortest` px long."""
         length = max(float(np.sum(self.step)) / number, shortest)
         before = np.cumsum(self.step) - self.step
-        key = np.column_stack([self.curve, before // length])
-        _, of = np.unique(key, axis=0, return_inverse=True)
-        return Blocks(of.ravel(), np.bincount(of.ravel(), self.step))
+        return Blocks.alike(np.column_stack([self.curve, before // length]), self.step)
 
     def thinned(self, most: int) -> "Edge":
         """`most` of the points, evenly."""
@@ -80,21 +78,6 @@ class Edge:
         from scipy.spatial import KDTree
 
         return KDTree(self.at)
-
-
-@dataclass(frozen=True, eq=False)
-class Blocks:
-    """Blocks of an edge: which one each point is `of` (n,), and their `length` (N,) in px."""
-
-    of: np.ndarray
-    length: np.ndarray
-
-    def mean(self, values: np.ndarray) -> np.ndarray:
-        """The means (N, ...) of the points' values (n, ...)."""
-        count = np.bincount(self.of)
-        if values.ndim == 1:
-            return np.bincount(self.of, values) / count
-        return np.stack([np.bincount(self.of, x) / count for x in values.T], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +144,7 @@ def edge_of(mask: Mask) -> Edge:
 def outline_seen(solver: Solver, camera: Camera, number: int) -> OutlinePoints | None:
     """The outline that a camera sees on a level, None where it sees none."""
     view = solver.look(camera, number)
-    place, rows, share = outline_pixels(view)
+    place, _, share, rows = OutlinePixels.from_view(view).weighed()
     if len(place) < 8 or not np.all(np.isfinite(rows)):
         return None
     level, around = view.level, outline_means(view, place, rows)
