@@ -85,11 +85,18 @@ def test_coarse_levels_are_means_of_blocks():
     camera, scene, _, _ = setting(W=33, H=50)
     target = drawn(camera, scene)
     data, levels = pyramid(target, np.ones_like(target), float, coarsest_px=8)
-    assert [(int(v.W), int(v.H)) for v in levels] == [(9, 13), (17, 25), (33, 50)]
+    assert [(int(v.W), int(v.H)) for v in levels] == [(8, 12), (16, 25), (33, 50)]
     for level in levels:  # the target is the scene's own image: nothing is left at any level
         view = taken(canonical(camera), scene, data, level)
         np.testing.assert_allclose(view.squares, 0, atol=1e-12)
         assert float(view.sums.overlap) > 0
+
+
+def test_all_levels_of_a_thin_picture_have_pixels():
+    target = np.zeros((200, 3))
+    target[20:180, 1] = 1
+    _, levels = pyramid(target, np.ones_like(target), float)
+    assert [(int(v.W), int(v.H)) for v in levels] == [(1, 100), (3, 200)]
 
 
 def test_lens_that_folds_within_the_window_is_nan():

@@ -8,7 +8,7 @@ import numpy as np
 
 from .._camera.camera import Camera
 from .._mask.mask import Mask
-from .._mask.target import as_coverage, inside_of
+from .._mask.target import Window, as_coverage, inside_of
 from .._outline.stretches import Blocks, OutlinePixels, outline_means
 from .._solver.solver import Solver
 
@@ -114,8 +114,8 @@ def edge_of(mask: Mask) -> Edge:
     from scipy.ndimage import gaussian_filter
     from skimage.measure import find_contours
 
-    box, H = about(inside_of(mask.target), SMOOTH_PX * 5), len(mask.target)
-    image, weighs = as_coverage(mask.target[box]), mask.weight[box] > 0
+    window = Window.about(inside_of(mask.target), SMOOTH_PX * 5)
+    image, weighs = as_coverage(window.crop(mask.target)), window.crop(mask.weight) > 0
     smooth: Any = gaussian_filter(image, SMOOTH_PX)
     down, right = np.gradient(smooth)
     curves = find_contours(image, 0.5) if min(image.shape) > 1 else []
@@ -130,9 +130,9 @@ def edge_of(mask: Mask) -> Edge:
         known &= weighs[tuple(corner(middle).astype(int).T)]
     middle, along, number = middle[known], along[known], number[1:][known]
     nearest = tuple(np.round(middle).astype(int).T)
-    row, column = (middle + np.array([box[0].start, box[1].start])).T
+    row, column = middle.T
     edge = Edge(
-        at=np.column_stack([column + 0.5, H - 0.5 - row]),
+        at=np.column_stack([window.left + column + 0.5, window.bottom + window.H - 0.5 - row]),
         out=units(np.column_stack([-right[nearest], down[nearest]])),
         step=np.linalg.norm(along, axis=1),
         curve=number,
@@ -183,13 +183,3 @@ def matched(edge: Edge, outline: OutlinePoints) -> Pairs:
 def units(vectors: np.ndarray) -> np.ndarray:
     """Vectors (n, 2) of length 1."""
     return vectors / np.maximum(np.linalg.norm(vectors, axis=1), 1e-9)[:, None]
-
-
-def about(shown: np.ndarray, margin: int) -> tuple[slice, slice]:
-    """The rows and columns around what is shown, with a margin: a photo is much larger."""
-    found = (np.flatnonzero(np.any(shown, axis=axis)) for axis in (1, 0))
-    rows, columns = (
-        slice(max(int(x[0]) - margin, 0), int(x[-1]) + 1 + margin) if x.size else slice(0, size)
-        for x, size in zip(found, shown.shape, strict=True)
-    )
-    return rows, columns

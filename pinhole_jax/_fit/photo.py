@@ -212,8 +212,9 @@ class Outline(NamedTuple):
     def from_view(cls, view: View) -> "Outline":
         """Return it from a view on the finest level."""
         seen, coverage = view.level.window(), coverage_of(view)[::-1]
-        window = _about(np.abs(coverage - 0.5) < 0.5, seen)
-        coverage = coverage[_part(window, seen)]
+        part = Window.about(np.abs(coverage - 0.5) < 0.5, MARGIN_PX)
+        coverage = part.crop(coverage)
+        window = part._replace(left=seen.left + part.left, bottom=seen.bottom + part.bottom)
         inside = coverage > 0.5
         # Pixels beside the edge, which are 0 px away from one another, are half a px from it.
         distance = np.where(inside, 1, -1) * (edge_distance(coverage) + 0.5)
@@ -258,24 +259,6 @@ class Outline(NamedTuple):
         offset = np.clip(area[there] / length[there], -NEAR_PX, NEAR_PX)
         mean = lambda x: float(np.average(x, weights=length[there])) if len(x) else np.nan
         return mean(offset), mean(offset**2) ** 0.5
-
-
-def _about(marked: np.ndarray, seen: Window) -> Window:
-    """The part of a window that is near what is marked in it (h, w)."""
-    spans = []
-    for axis, size in ((1, seen.W), (0, seen.H)):
-        there = np.flatnonzero(np.any(marked, axis=1 - axis))
-        low, high = (there[0], there[-1] + 1) if there.size else (0, size)
-        spans.append((max(int(low) - MARGIN_PX, 0), min(int(high) + MARGIN_PX, size)))
-    (left, right), (top, foot) = spans
-    return Window(seen.left + left, seen.bottom + seen.H - foot, right - left, foot - top)
-
-
-def _part(window: Window, seen: Window) -> tuple[slice, slice]:
-    """The rows and columns of a window (row 0 on top) that another one in it is."""
-    top = seen.bottom + seen.H - window.bottom - window.H
-    left = window.left - seen.left
-    return slice(top, top + window.H), slice(left, left + window.W)
 
 
 def _judged(

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .target import Window, beside, edge_distance, near_an_edge
+from .target import Window, beside, edge_distance, object_window
 
 #: Pixels about each pixel of an edge are visited one by one, unless these are more than this many
 #: for each pixel of the image: then the distances of all are worked out at once.
@@ -64,14 +64,9 @@ def within(weights: Weights, window: Window) -> Weights:
     return weights.within(window) if isinstance(weights, SparseImage) else window.crop(weights)
 
 
-def total(weights: Weights) -> float:
-    """Return the sum of weights."""
-    return float(np.sum(weights.value if isinstance(weights, SparseImage) else weights))
-
-
-def counted(weights: Weights) -> int:
-    """The number of pixels that have a weight."""
-    return int(np.count_nonzero(weights.value if isinstance(weights, SparseImage) else weights))
+def values_of(weights: Weights) -> np.ndarray:
+    """All weights that are not 0 for certain."""
+    return weights.value if isinstance(weights, SparseImage) else weights
 
 
 def alike(weights: Weights) -> bool:
@@ -81,38 +76,27 @@ def alike(weights: Weights) -> bool:
 
 def edge_band(inside: np.ndarray, reach: float) -> SparseImage:
     """Return the pixels of an image, of bools, that are less than `reach` + 1 (px) from one beside
-    an edge, and how far they are from it."""
-    edge, (H, W), margin = beside(inside), inside.shape, int(np.ceil(1 + reach))
+    an edge, and how far they are from it; those in the object's window."""
+    window, shape = object_window(inside), inside.shape
+    shown, margin = window.crop(inside), int(np.ceil(1 + reach))
+    edge = beside(shown)
     offsets = np.indices((2 * margin + 1,) * 2).reshape(2, -1).T - margin
     squares = np.sum(offsets**2, axis=1)
     disc = np.flatnonzero(squares < (1 + reach) ** 2)
-    if margin > 255 or len(disc) * len(edge) > VISITS * inside.size:
+    if margin > 255 or len(disc) * len(edge) > VISITS * shown.size:
         distance = edge_distance(inside)
         place = np.flatnonzero(distance < 1 + reach)
-        return SparseImage((H, W), place, distance.flat[place])
+        return SparseImage(shape, place, distance.flat[place])
 
     # From the farthest on, so that the nearest have the last word. (What is not written to of
     # zeros takes no time.)
-    shape = H + 2 * margin, W + 2 * margin
-    seen = np.zeros(shape[0] * shape[1], np.uint16)
-    row, column = np.divmod(edge, W)
-    start, shifts = row * shape[1] + column, (offsets + margin) @ [shape[1], 1]
+    H, W = window.H + 2 * margin, window.W + 2 * margin
+    seen = np.zeros(H * W, np.uint16)
+    row, column = np.divmod(edge, window.W)
+    start, shifts = row * W + column, (offsets + margin) @ [W, 1]
     for k in disc[np.argsort(-squares[disc])]:
         seen[start + shifts[k]] = squares[k] + 1
     place = np.flatnonzero(seen)
-    band = SparseImage(shape, place, np.sqrt(seen[place] - 1.0))
-    return band.within(Window(margin, margin, W, H))
-
-
-def near_weights(
-    inside: np.ndarray, weights: np.ndarray, window: Window, reach: float
-) -> SparseImage:
-    """Return the weights of pixels near the edge of a mask, which lies in a window.
-
-    Less the farther they are from it: none `reach` + 1 (px) away.
-    """
-    band, (H, W) = edge_band(window.crop(inside), reach), inside.shape
-    row, column = band.rows_columns
-    row, column = row + H - window.bottom - window.H, column + window.left
-    value = weights[row, column] * near_an_edge(band.value, reach)
-    return SparseImage((H, W), row * W + column, value)
+    band = SparseImage((H, W), place, np.sqrt(seen[place] - 1.0))
+    band = band.within(Window(margin, margin, window.W, window.H))
+    return band.within(Window(-window.left, -window.bottom, shape[1], shape[0]))

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._rules import RULES
-from .edges import SparseImage, alike, counted, edge_band
+from .edges import SparseImage, edge_band
 from .target import as_coverage, beside, inside_of
 
 #: What of coverage is not resolved in a float type: a fit's last step leaves this much, and a sum
@@ -72,9 +72,9 @@ class Kind(NamedTuple):
 
 def kind_of(target: np.ndarray, weights: np.ndarray, dtype: Any) -> Kind:
     """Return the kind of a mask (see `check_target`) that is fitted in a float type."""
-    grey = _grey_pixels(target)
-    if not grey.place.size or grey.place.size < RULES.grey_share * len(beside(inside_of(target))):
-        uniform = (scale := _weight_at_edges(target, weights)) * UNIFORM
+    grey, edge = _grey_pixels(target), beside(inside_of(target))
+    if not grey.place.size or grey.place.size < RULES.grey_share * len(edge):
+        uniform = (scale := _usual(weights[np.divmod(edge, target.shape[1])])) * UNIFORM
         return Kind("one bit", uniform, scale * RULES.hard, CUT_CORNERS * uniform, False)
     # A sum along a row of a fine mesh's mask is 1 to rounding only: one such pixel in an image is
     # not to make a computed mask a noisy one.
@@ -86,13 +86,13 @@ def kind_of(target: np.ndarray, weights: np.ndarray, dtype: Any) -> Kind:
     weight = weights[grey.rows_columns]
     used = (grey.value > threshold) & (grey.value < 1 - threshold) & (weight > 0)
     between = SparseImage(grey.shape, grey.place[used], grey.value[used])
-    scale = float(np.mean(weight[used])) if np.any(used) else 1.0
+    scale = _usual(weight[used])
     # The least is rounding; the solver's last step may leave more.
     rounding = max(ROUNDING * float(np.finfo(dtype).eps), *(float(np.finfo(x).eps) for x in floats))
     variance, step = _quantisation(between.value)
     least = scale * max(rounding**2, UNIFORM * step**2)
     variance = scale * max(variance, rounding**2, resolved**2)
-    if np.any(used) and np.mean(_shorter_run(between) > 2) > RULES.wide_share:
+    if np.any(used) and np.mean(_in_threes(between)) > RULES.wide_share:
         width = _edge_width(target, between)
         # (Widths of 0.30, 0.48, 0.86 px, blurs of 0.5, 0.8, 1.5 px, leave 0.011, 0.056, 0.17.)
         left = (width**2 / 4 + noise**2) * scale
@@ -117,12 +117,10 @@ def _grey_pixels(target: np.ndarray) -> SparseImage:
     return SparseImage(target.shape, place, as_coverage(target[np.divmod(place, target.shape[1])]))
 
 
-def _weight_at_edges(target: np.ndarray, weights: np.ndarray) -> float:
-    """Return the mean weight of pixels at the mask's edge that have one, 1 if there are none."""
-    if alike(weights):
-        return float(weights.flat[0])
-    weight = weights[edge_band(inside_of(target), 1.0).rows_columns]
-    return float(np.mean(weight[weight > 0])) if np.any(weight) else 1.0
+def _usual(weights: np.ndarray) -> float:
+    """Return the mean weight of pixels that have one, 1 if there are none."""
+    some = weights[weights > 0]
+    return float(np.mean(some)) if some.size else 1.0
 
 
 def _noise_far_from_edges(
@@ -144,7 +142,7 @@ def _noise_far_from_edges(
     if not np.any(squares):
         return 0.0, 0.0, True, 0.0
     beside = int(np.count_nonzero(weights[band.rows_columns]))
-    number = counted(weights) - beside
+    number = np.count_nonzero(weights) - beside
     mean = float(np.sum(squares)) / number
     even = float(np.sum(squares**2)) / number < 2 * RULES.times * mean**2
     clipped = np.all(off[nearest > 0] <= 0) and np.all(off[nearest <= 0] >= 0)
@@ -156,19 +154,14 @@ def _noise_far_from_edges(
     return (2 * mean if clipped else mean) ** 0.5, far, bool(even), float(even * spread)
 
 
-def _shorter_run(some: SparseImage) -> np.ndarray:
-    """Return for each pixel how many of them stand beside one another in its row or in its column,
-    the shorter way."""
-    (H, W), (row, column) = some.shape, some.rows_columns
-    order, down = np.lexsort((row, column)), np.zeros(len(row), int)
-    down[order] = _runs((column * (H + 1) + row)[order])
-    return np.minimum(_runs(row * (W + 1) + column), down)
-
-
-def _runs(ascending: np.ndarray) -> np.ndarray:
-    """Return for each of ascending integers how many follow one another without a gap."""
-    _, run = np.unique(ascending - np.arange(len(ascending)), return_inverse=True)
-    return np.bincount(run.ravel())[run.ravel()]
+def _in_threes(some: SparseImage) -> np.ndarray:
+    """Return which pixels stand among three or more in their row, and in their column."""
+    (row, column), width = some.rows_columns, some.shape[1] + 2
+    place, both = row * width + column, np.ones(len(row), bool)
+    for step in (1, width):
+        a, b, c, d = (np.isin(place + k * step, place) for k in (-2, -1, 1, 2))
+        both &= (a & b) | (b & c) | (c & d)
+    return both
 
 
 def _edge_width(target: np.ndarray, some: SparseImage) -> float:

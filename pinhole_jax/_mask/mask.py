@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._camera.camera import Camera, bent, film_map, focal_px, principal_point
-from .edges import SparseImage, alike, near_weights
+from .edges import SparseImage, alike, edge_band
 from .kinds import Kind, kind_of
 from .signatures import Signature, signatures
 from .target import as_coverage, inside_of, object_window
@@ -41,11 +41,13 @@ class Mask:
         return kind_of(window.crop(self.target), window.crop(self.weight), self.camera.e.dtype)
 
     def near_edge(self, reach: float) -> SparseImage:
-        """Return the weights of pixels near the mask's edge; 0 farther than `reach` (px)."""
+        """Return the weights of pixels near the mask's edge, less the farther they are from it
+        (Tukey's biweight): none `reach` + 1 (px) away."""
         made = self._made
         if reach not in made:
-            inside = inside_of(self.target)
-            made[reach] = near_weights(inside, self.weight, object_window(inside), reach)
+            band = edge_band(inside_of(self.target), reach)
+            near = (1 - (band.value / (1 + reach)) ** 2) ** 2
+            made[reach] = band._replace(value=self.weight[band.rows_columns] * near)
         return made[reach]
 
     @cached_property
@@ -55,9 +57,8 @@ class Mask:
 
     def longer(self, factor: float) -> "Mask":
         """Return the mask as seen with a focal length times a factor."""
-        dtype = self.camera.e.dtype
-        phi = np.asarray(2 * np.arctan(np.tan(np.asarray(self.camera.phi) / 2) / factor), dtype)
-        phi = jnp.asarray(phi, dtype)
+        phi = 2 * np.arctan(np.tan(np.asarray(self.camera.phi) / 2) / factor)
+        phi = jnp.asarray(phi, self.camera.e.dtype)
         return replace(self, camera=eqx.tree_at(lambda c: c.phi, self.camera, phi))
 
     def signature(self, hidden: float | None = None) -> Signature:
@@ -80,20 +81,13 @@ class Mask:
         from scipy.ndimage import map_coordinates
 
         H, W = self.image.shape
-        corner, size = _ideal_rectangle(self.camera)
-        x, y = (
-            c + (np.arange(n) + 0.5) / n * s for c, n, s in zip(corner, (W, H), size, strict=True)
-        )
-        ideal = np.stack(np.meshgrid(x, y[::-1]), axis=-1)
+        left, right, bottom, top = np.asarray(film_map(self.camera).bounds, float)
+        corner, size = np.array([left, bottom]), np.array([right - left, top - bottom])
+        across, down = (np.arange(W) + 0.5) / W, 1 - (np.arange(H) + 0.5) / H
+        ideal = corner + size * np.stack(np.meshgrid(across, down), axis=-1)
         column, row = np.moveaxis(bent(self.camera, ideal), -1, 0)
         at = np.stack([H - row - 0.5, column - 0.5])
         image, weight = (
             map_coordinates(z, at, order=1, cval=0.0) for z in (self.image, self._shares() + 0.0)
         )
         return image, weight, corner, np.array([W, H]) / size
-
-
-def _ideal_rectangle(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Return lower left corner and size (px) of a part of the ideal film that shows all."""
-    left, right, bottom, top = (float(x) for x in film_map(camera).bounds)
-    return np.array([left, bottom]), np.array([right - left, top - bottom])

@@ -48,17 +48,13 @@ class Matte(NamedTuple):
 def light(photo: Shaped[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"]:
     """Return the light of a photo's sRGB colours (uint8, or floats in [0, 1]): in [0, 1], float32.
 
-    Colours mix as light does. (In sRGB's own values edges err by 0.1 to 0.3 px, to the dark side.)
+    The inverse of sRGB's transfer function (IEC 61966-2-1). Colours mix as light does: in sRGB's
+    own values edges err by 0.1 to 0.3 px, to the dark side.
     """
-    if photo.dtype == np.uint8:
-        return _light(np.arange(256) / 255)[photo]
-    return _light(np.clip(photo, 0, 1))
-
-
-def _light(value: np.ndarray) -> np.ndarray:
-    """Return the inverse of sRGB's transfer function (IEC 61966-2-1)."""
-    toe = value <= 0.04045
-    return np.where(toe, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(np.float32)
+    value = np.arange(256) / 255 if photo.dtype == np.uint8 else np.clip(photo, 0, 1)
+    linear = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+    linear = linear.astype(np.float32)
+    return linear[photo] if photo.dtype == np.uint8 else linear
 
 
 def matte(

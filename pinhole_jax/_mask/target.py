@@ -25,6 +25,19 @@ class Window(NamedTuple):
     W: int
     H: int
 
+    @classmethod
+    def about(cls, shown: np.ndarray, room: int, share: float = 0.0) -> "Window":
+        """A window about what an image, of bools, shows, with this much room (px), or a share of
+        its extent, on each side; all of the image where it shows nothing."""
+        (H, W), spans = shown.shape, []
+        for axis, size in enumerate((W, H)):
+            there = np.flatnonzero(np.any(shown, axis=axis))
+            low, high = (int(there[0]), int(there[-1]) + 1) if there.size else (0, size)
+            more = max(int(share * (high - low)), room)
+            spans.append((max(low - more, 0), min(high + more, size)))
+        (left, right), (top, foot) = spans
+        return cls(left, H - foot, right - left, foot - top)
+
     def crop(self, image: np.ndarray) -> np.ndarray:
         """The part (H, W) of an image."""
         top = image.shape[0] - self.bottom
@@ -32,14 +45,10 @@ class Window(NamedTuple):
 
     def holds(self, points: Float[np.ndarray, "n 2"], W: int, H: int) -> bool:
         """True if all points (px) of a film of this size are inside, or off the film."""
-        x, y = points.T
-        right, top = self.left + self.W, self.bottom + self.H
-        return bool(
-            (self.left == 0 or x.min() > self.left)
-            and (self.bottom == 0 or y.min() > self.bottom)
-            and (right == W or x.max() < right)
-            and (top == H or y.max() < top)
-        )
+        low, size = np.array(self).reshape(2, 2)
+        high = low + size
+        inside = ((low == 0) | (points > low)) & ((high == (W, H)) | (points < high))
+        return bool(np.all(inside))
 
 
 def as_coverage(image: np.ndarray) -> np.ndarray:
@@ -159,20 +168,23 @@ def levelled(image: np.ndarray, weights: np.ndarray) -> np.ndarray:
     if image.dtype == bool:
         return image
     step = max(int((image.size / SAMPLED) ** 0.5), 1)
-    some = as_coverage(image[::step, ::step])
-    inside = some > 0.5
-    low, high = _median(some, ~inside, 0.0), _median(some, inside, 1.0)
+    low, high = _levels(as_coverage(image[::step, ::step]), True)
     if max(low, 1 - high) <= LEVEL:
         return image
     values = as_coverage(image)
-    inside = values > 0.5
-    far = (near_an_edge(edge_distance(values), LEVEL_PX) == 0) & (weights > 0)
-    low, high = _median(values, far & ~inside, 0.0), _median(values, far & inside, 1.0)
+    far = edge_distance(values) >= 1 + LEVEL_PX
+    low, high = _levels(values, far & (weights > 0))
     return (values - low) / (high - low) if max(low, 1 - high) > LEVEL else image
 
 
-def _median(image: np.ndarray, where: np.ndarray, default: float) -> float:
-    return float(np.median(image[where])) if np.any(where) else default
+def _levels(image: np.ndarray, where: np.ndarray | bool) -> tuple[float, float]:
+    """Return the medians of pixels that are less, and more, than half covered; 0 and 1 where there
+    are none."""
+    inside = image > 0.5
+    less, more = image[where & ~inside], image[where & inside]
+    return float(np.median(less)) if less.size else 0.0, float(
+        np.median(more)
+    ) if more.size else 1.0
 
 
 def beside(inside: np.ndarray) -> np.ndarray:
@@ -200,32 +212,6 @@ def edge_distance(image: np.ndarray) -> np.ndarray:
     return distance
 
 
-def near_an_edge(distance: np.ndarray, reach_px: float) -> np.ndarray:
-    """Return Tukey's biweight of `edge_distance`: 1 at 0, and 0 farther than `reach_px` away."""
-    return np.clip(1 - (distance / (1 + reach_px)) ** 2, 0, 1) ** 2
-
-
 def object_window(target: np.ndarray) -> Window:
     """Return a window about all that is not 0, with half as much room again on each side."""
-    (H, W), spans = target.shape, []
-    for there, size in zip(_shown(target != 0), (W, H), strict=True):
-        low, high = (there[0], there[-1] + 1) if there.size else (0, size)
-        room = max(int(high - low) // 2, 16)
-        spans.append((max(int(low) - room, 0), min(int(high) + room, size)))
-    (left, right), (top, foot) = spans
-    return Window(left, H - foot, right - left, foot - top)
-
-
-def extent_of(image: np.ndarray) -> int:
-    """The longer extent (px) of an image's object; all the image's
-    where it shows none."""
-    columns, rows = _shown(image > 0.5 if image.dtype.kind == "f" else image != 0)
-    if not columns.size:
-        return max(image.shape)
-    return int(max(np.ptp(rows), np.ptp(columns))) + 1
-
-
-def _shown(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return which columns and rows of an image, of bools, show something."""
-    columns, rows = (np.flatnonzero(np.any(image, axis=axis)) for axis in (0, 1))
-    return columns, rows
+    return Window.about(target != 0, 16, 0.5)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from .._mask.edges import Weights, counted, total, within
+from .._mask.edges import Weights, values_of, within
 from .._mask.pyramid import LEAST_CELLS, Level, Pyramid, pyramid
 from .._mask.target import Window
 
@@ -63,8 +63,9 @@ class Store:
         if explained is not None:
             levels = [x._replace(explained=np.asarray(explained, dtype)) for x in levels]
         seen = within(weights, levels[-1].window())
-        beside = total(weights) - total(seen)
-        made = Levels(jax.device_put(host), levels, beside, counted(seen))
+        some = values_of(seen)
+        beside = float(np.sum(values_of(weights))) - float(np.sum(some))
+        made = Levels(jax.device_put(host), levels, beside, np.count_nonzero(some))
         small = host.cells.shape[1] <= KEPT_CELLS
         self._made = [*(self._made[:1] if small else []), (target, weights, key, made)]
         return made
