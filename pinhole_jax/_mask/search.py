@@ -17,7 +17,7 @@ from .._rules import RULES
 from .._scene.scene import Ball, Scene
 from .mask import Mask
 from .signatures import ANGLES, Signature, distances, facing, signatures
-from .thumbnails import SIZE, axes_inward, thumbnails
+from .thumbnails import SIZE, thumbnails
 
 #: The nearest that a view is taken from, in radii of the scene.
 NEAREST = 1.2
@@ -47,8 +47,7 @@ def _seen_all_round(scene: Scene, ball: Ball, number: int, reach: float) -> _Vie
 
 def _views(scene: Scene, ball: Ball, directions: np.ndarray, reach: float) -> _Views:
     phi = 2 * np.arcsin(min(1 / reach, 0.95))
-    axes = axes_inward(directions)
-    images = thumbnails(scene, ball, reach * directions, axes, phi)
+    images, axes = thumbnails(scene, ball, directions, reach, phi)
     film = np.full(2, SIZE / (2 * np.tan(phi / 2))), np.full(2, SIZE / 2)
     found = signatures(images, np.ones((SIZE, SIZE)), *film)
     found = found._replace(samples=found.samples.astype(np.float32))

@@ -69,11 +69,10 @@ def signatures(
     depth = np.where(ahead, ray[..., 2], 1)
     column = ray[..., 0] / depth * focal[0] + centre[0] - 0.5
     row = ray[..., 1] / depth * focal[1] + centre[1] - 0.5
-    inside = ahead & (column > -1) & (column < W) & (row > -1) & (row < H)
     places = np.broadcast_arrays(np.arange(N)[:, None, None], row, column)
     samples = map_coordinates(images, places, order=1, mode="nearest")
-    known = map_coordinates(weight, places[1:], order=1, mode="nearest")
-    return Signature(np.where(inside, samples, 0), inside & (known > 0.5), total, axes)
+    known = map_coordinates(weight, places[1:], order=1, mode="grid-constant")  # 0 beside it
+    return Signature(samples, ahead & (known > 0.5), total, axes)
 
 
 def facing(direction: np.ndarray) -> np.ndarray:
