@@ -14,9 +14,8 @@ along what is nearly free does not find these: they are no neighbours. The body'
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -24,6 +23,7 @@ from .._camera.axes import axes_of, sphere_points
 from .._camera.camera import Camera
 from .._numerics.memo import memoised
 from .._rules import RULES
+from .scene import grid_cells
 
 #: The directions in which mirror images are looked at.
 DIRECTIONS = sphere_points(64)
@@ -34,8 +34,17 @@ DIRECTIONS = sphere_points(64)
 ROUND = 0.02
 #: ... in this many of the directions looked in; and nearly so, before the axis is made better.
 MOSTLY, NEARLY = 0.6, 0.15
-#: Directions looked in: angles about the axis, and heights above its normal plane (rad).
+#: Directions looked in, about the z axis: at heights (rad) above the normal plane, all round; at
+#: which of the heights each is.
 ROUND_ABOUT, HEIGHTS, MIDDLE = 60, np.deg2rad([-40.0, 0.0, 40.0]), 1
+LOOKS = np.array(
+    [
+        (np.cos(height) * np.cos(angle), np.cos(height) * np.sin(angle), np.sin(height))
+        for height in HEIGHTS
+        for angle in np.arange(ROUND_ABOUT) * (2 * np.pi / ROUND_ABOUT)
+    ]
+)
+LEVELS = np.repeat(np.eye(len(HEIGHTS)), ROUND_ABOUT, axis=0)
 ALL_ROUND = sphere_points(256)
 #: Rounds of making the axis better, and of weighing outliers less in the first and the others.
 ROUNDS, WEIGHINGS, MORE_WEIGHINGS = 5, 8, 30
@@ -52,7 +61,7 @@ SECTIONS, REPEATS, ROUNDING = np.arange(10, 181), 0.25, 1e-6
 #: corners of their hull, have facets that matter.
 FINE, POINTS, CORNERS = 3600, 200_000, 2000
 #: Of more vertices than these one in each cell of a grid is taken, of many more some at random.
-SOME, CELLS, MANY = 1200, 14, 50_000
+SOME, CELLS, MANY = 1200, 18, 50_000
 
 # Turns of faces.
 #: Finer meshes have facets that no mask shows: they are not looked at.
@@ -139,11 +148,8 @@ class Alike:
 
 def rotated(camera: Camera, rotation: np.ndarray, shift: np.ndarray) -> Camera:
     """The camera that x -> rotation x + shift brings with it."""
-    e, p, u = (np.asarray(x, float) for x in (camera.e, camera.p, camera.u))
-    eye = rotation @ e + shift
-    dtype = np.asarray(camera.e).dtype
-    pose: Any = [x.astype(dtype) for x in (eye, eye + rotation @ (p - e), rotation @ u)]
-    return eqx.tree_at(lambda c: [c.e, c.p, c.u], camera, pose)
+    eye = rotation @ np.asarray(camera.e, float) + shift
+    return camera.with_pose(eye, axes_of(camera) @ rotation.T)
 
 
 # --- lines that a body is round about -----------------------------------------------------------
@@ -156,13 +162,10 @@ def _some_of(vertices: np.ndarray) -> np.ndarray:
     few: np.ndarray = np.asarray(vertices)
     if len(vertices) > MANY:  # at random: a mesh's order may be that of its rings
         few = few[np.random.default_rng(0).integers(0, len(vertices), MANY)]
-    low, high = few.min(axis=0), few.max(axis=0)
     with np.errstate(all="ignore"):  # what overflows is refused afterwards
-        cell = (CELLS * (few - low) / np.maximum(high - low, np.finfo(few.dtype).tiny)).astype(int)
-    number = np.clip(cell, 0, CELLS - 1) @ [CELLS**2, CELLS, 1]
-    first = np.full(CELLS**3, -1)
-    first[number[::-1]] = np.arange(len(few))[::-1]
-    return np.asarray(few[first[first >= 0]], float)
+        cell = grid_cells(few, CELLS)
+    _, first = np.unique(cell @ [CELLS**2, CELLS, 1], return_index=True)
+    return np.asarray(few[first], float)
 
 
 def _revolutions(vertices: np.ndarray) -> list[Revolution]:
@@ -209,13 +212,12 @@ def _line(points: np.ndarray, axis: np.ndarray) -> _Line | None:
     centre, rest, weighings = np.zeros(3), 0.0, WEIGHINGS
     for allowed in (*np.geomspace(NEARLY, 2 * ROUND, ROUNDS), ROUND):
         normals = _normal_to(axis)
-        across, height, directions = _directions(axis, normals)
+        directions = LOOKS @ [*normals, axis]
         where = points[np.argmax(directions @ points.T, axis=1)]
         reach = np.sum(where * directions, axis=1)
         # How far it reaches: a height's radius, a shift of the line, and a tilt of it.
-        level = (height[:, None] == HEIGHTS).astype(float)
-        shift = np.cos(height)[:, None] * (across @ normals.T)
-        table = np.concatenate([level, shift, np.cross(directions, where) @ normals.T], axis=1)
+        tilt = np.cross(directions, where) @ normals.T
+        table = np.concatenate([LEVELS, LOOKS[:, :2], tilt], axis=1)
         fitted, weighings = _robust(table, reach, weighings), MORE_WEIGHINGS
         untilted = np.r_[fitted[:5], 0, 0]
         off, rest = np.quantile(np.abs(table @ untilted - reach), [MOSTLY, NEARLY_ALL])
@@ -231,16 +233,6 @@ def _normal_to(axis: np.ndarray) -> np.ndarray:
     first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     first = first / np.linalg.norm(first)
     return np.stack([first, np.cross(axis, first)])
-
-
-def _directions(axis: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The points in the plane (D, 3), heights above it (D,) and the directions there (D, 3)."""
-    angle = np.arange(ROUND_ABOUT) * (2 * np.pi / ROUND_ABOUT)
-    flat = np.stack([np.cos(angle), np.sin(angle)], axis=-1) @ normals
-    height = np.repeat(HEIGHTS, ROUND_ABOUT)
-    across = np.tile(flat, (len(HEIGHTS), 1))
-    directions = np.cos(height)[:, None] * across + np.sin(height)[:, None] * axis
-    return across, height, directions
 
 
 def _robust(table: np.ndarray, values: np.ndarray, weighings: int) -> np.ndarray:

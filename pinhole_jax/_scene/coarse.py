@@ -36,11 +36,8 @@ def _joined(
     vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
 ) -> tuple[Float[np.ndarray, "W 3"], Int[np.ndarray, "G 3"]]:
     """Return the mean vertex of each cell of a grid, and the faces with corners in three cells."""
-    number = grid_cells(vertices, CELLS) @ np.array([CELLS**2, CELLS, 1])
-    count = np.bincount(number, minlength=CELLS**3)
-    middles = [np.bincount(number, vertices[:, k], CELLS**3)[count > 0] for k in range(3)]
-
-    a, b, c = number[faces].T
-    some = faces[(a != b) & (b != c) & (c != a)]
-    name = np.cumsum(count > 0, dtype=np.int32) - 1
-    return np.stack(middles, axis=1) / count[count > 0][:, None], name[number[some]]
+    cell = grid_cells(vertices, CELLS) @ [CELLS**2, CELLS, 1]
+    _, name, count = np.unique(cell, return_inverse=True, return_counts=True)
+    middles = [np.bincount(name, x) / count for x in vertices.T]
+    a, b, c = corners = name.astype(np.int32)[faces].T
+    return np.stack(middles, axis=1), corners[:, (a != b) & (b != c) & (c != a)].T

@@ -120,21 +120,9 @@ def by_place(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     And, in this order, True for the first point at each place (n,).
     """
-    keys = points.T[::-1]
-    with np.errstate(over="ignore"):
-        single = points.astype(np.float32, copy=False)
-    if np.array_equal(single, points):  # x and y in one number take one sort less
-        x, y, z = (_ascending_bits(column) for column in single.T)
-        keys = z, x.astype(np.uint64) << np.uint64(32) | y
-    order = np.lexsort(keys)
+    order = np.lexsort(points.T[::-1])
     along = points[order]
     return order, np.append(True, np.any(along[1:] != along[:-1], axis=1))[: len(order)]
-
-
-def _ascending_bits(values: np.ndarray) -> np.ndarray:
-    """Return numbers of 32 bits (n,) that ascend as float32 numbers do; -0 is 0."""
-    bits = (values + np.float32(0)).view(np.int32)
-    return (bits ^ ((bits >> 31) | np.int32(-(1 << 31)))).view(np.uint32)
 
 
 def _parts(faces: np.ndarray, V: int) -> np.ndarray:
