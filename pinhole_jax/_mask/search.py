@@ -33,6 +33,11 @@ class _Views(NamedTuple):
     signatures: Signature
     axes: np.ndarray
 
+    def reaches(self, goal: Signature) -> np.ndarray:
+        """How far away (N,), in radii, each view has a mask's size."""
+        size = self.signatures.solid_angle / goal.solid_angle[0]
+        return np.maximum(self.reach * np.sqrt(size), NEAREST)
+
 
 def _seen_all_round(scene: Scene, ball: Ball, number: int, reach: float) -> _Views:
     """A scene as it looks from directions all over the sphere, from about `reach` radii away.
@@ -65,17 +70,15 @@ def partly_hidden(
     """For each direction (rad, from the film's right to its top) the cameras that may see the
     mask, the likeliest first, if something hides what lies there; for None, if nothing does."""
     whole = mask.signature()
-    # The mean distance (radii) from which the scene has the mask's size.
     few = _seen_all_round(scene, ball, RULES.views // 10, 5.0)
-    sizes = few.signatures.solid_angle / whole.solid_angle[0]
-    views = _seen_all_round(scene, ball, RULES.views, few.reach * np.sqrt(np.median(sizes)))
+    views = _seen_all_round(scene, ball, RULES.views, float(np.median(few.reaches(whole))))
     goals = [whole if d is None else mask.signature(d) for d in directions]
     return [_likely(mask, ball, goal, views) for goal in goals]
 
 
 def _likely(mask: Mask, ball: Ball, goal: Signature, views: _Views) -> Iterator[Camera]:
     """Yield cameras whose views are like a signature, the likeliest first."""
-    seen = views.signatures
+    seen, reaches = views.signatures, views.reaches(goal)
     score = distances(goal, seen)
     dips = (score <= np.roll(score, 1, axis=1)) & (score < np.roll(score, -1, axis=1))
     # (A round mask looks the same at every roll: none of them is less than the next.)
@@ -85,8 +88,7 @@ def _likely(mask: Mask, ball: Ball, goal: Signature, views: _Views) -> Iterator[
     for n, k in zip(*np.unravel_index(order, score.shape), strict=True):
         c, s = np.cos(2 * np.pi * k / ANGLES), np.sin(2 * np.pi * k / ANGLES)
         roll = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-        far = max(views.reach * np.sqrt(seen.solid_angle[n] / goal.solid_angle[0]), NEAREST)
-        eye = ball.centre + far * ball.radius * views.directions[n]
+        eye = ball.centre + reaches[n] * ball.radius * views.directions[n]
         yield mask.camera.with_pose(eye, goal.axes[0].T @ roll @ seen.axes[n] @ views.axes[n])
 
 
@@ -102,7 +104,6 @@ def aimed(mask: Mask, scene: Scene, ball: Ball) -> Camera:
     away = away / np.linalg.norm(away)
     reach = 5.0
     for _ in range(2):  # nearer, it looks a little different
-        size = _views(scene, ball, away[None], reach).signatures.solid_angle[0]
-        reach = max(reach * np.sqrt(size / goal.solid_angle[0]), NEAREST)
+        reach = float(_views(scene, ball, away[None], reach).reaches(goal)[0])
     toward = facing((axes @ -away)[None])[0] @ axes
     return mask.camera.with_pose(ball.centre + reach * ball.radius * away, goal.axes[0].T @ toward)

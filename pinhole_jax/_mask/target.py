@@ -140,12 +140,6 @@ def border_of(image: np.ndarray) -> np.ndarray:
     return np.concatenate([image[0], image[-1], image[1:-1, 0], image[1:-1, -1]])
 
 
-def covered_border(mask: np.ndarray) -> float:
-    """Return which share of a picture's border a mask (H, W), of bools, covers."""
-    border = border_of(mask)
-    return np.count_nonzero(border) / border.size
-
-
 def check_weight(weight: Any, W: int, H: int) -> np.ndarray:
     """Return weights as float64 (H, W), ones for None, or raise ValueError."""
     if weight is None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from .._files.paths import FilePath
 from .._files.pictures import Image, bands, by_bands, eight_bits, from_picture
-from .._mask.target import MOST_BORDER, covered_border
+from .._mask.target import MOST_BORDER, border_of
 from .labels import labels_in
 from .tidy import SPECK, drop_specks
 from .transparency import (
@@ -122,7 +122,7 @@ def _way(mask_from: str | None) -> Callable[[Image], MaskReading]:
 def _check_border(read: MaskReading) -> None:
     """Raise ValueError for a mask that covers its border, and yet not all of the picture."""
     inside = read.mask > 127
-    share = covered_border(inside)
+    share = float(np.mean(border_of(inside)))
     if share <= MOST_BORDER or np.all(inside):
         return
     way = "alpha" if read.words.startswith(ALPHA) else "luminance"
