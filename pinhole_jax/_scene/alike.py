@@ -173,8 +173,8 @@ def _revolutions(vertices: np.ndarray) -> list[Revolution]:
     some = _some_of(vertices)
     if len(some) < 4:
         return []
-    middle = some.mean(axis=0)
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
+        middle = some.mean(axis=0)
         size = float(np.max(np.linalg.norm(some - middle, axis=1)))
     if not 0 < size < np.inf:
         return []
