@@ -92,7 +92,7 @@ def test_coarse_levels_are_means_of_blocks():
         assert float(view.sums.overlap) > 0
 
 
-def test_all_levels_of_a_thin_picture_have_pixels():
+def test_thin_picture_has_pixels_on_each_level():
     target = np.zeros((200, 3))
     target[20:180, 1] = 1
     _, levels = pyramid(target, np.ones_like(target), float)

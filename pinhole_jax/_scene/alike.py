@@ -164,7 +164,7 @@ def _some_of(vertices: np.ndarray) -> np.ndarray:
         few = few[np.random.default_rng(0).integers(0, len(vertices), MANY)]
     with np.errstate(all="ignore"):  # what overflows is refused afterwards
         cell = grid_cells(few, CELLS)
-    _, first = np.unique(cell @ [CELLS**2, CELLS, 1], return_index=True)
+    _, first = np.unique(cell @ np.array([CELLS**2, CELLS, 1]), return_index=True)
     return np.asarray(few[first], float)
 
 

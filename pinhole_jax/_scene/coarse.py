@@ -36,7 +36,7 @@ def _joined(
     vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
 ) -> tuple[Float[np.ndarray, "W 3"], Int[np.ndarray, "G 3"]]:
     """Return the mean vertex of each cell of a grid, and the faces with corners in three cells."""
-    cell = grid_cells(vertices, CELLS) @ [CELLS**2, CELLS, 1]
+    cell = grid_cells(vertices, CELLS) @ np.array([CELLS**2, CELLS, 1])
     _, name, count = np.unique(cell, return_inverse=True, return_counts=True)
     middles = [np.bincount(name, x) / count for x in vertices.T]
     a, b, c = corners = name.astype(np.int32)[faces].T
