@@ -152,7 +152,7 @@ def _halvings(image: _Image, number: int) -> list[_Image]:
 def _weights_of_levels(
     weight: Weights, number: int
 ) -> tuple[Sequence[_Image | SparseImage], float]:
-    """The weights of this many levels as shares, and of what value."""
+    """The weights of this many levels, as shares of the largest, and that."""
     if isinstance(weight, SparseImage):
         if number == 1:
             return [weight], 1.0
