@@ -67,7 +67,7 @@ class Kind(NamedTuple):
         """True if a right camera may leave this mean square residual of an outline pixel;
         where a turn or shift is nearly free, no more than the kind has to leave."""
         strict = nearly_free and self.exact
-        return misfit <= (RULES.times * self.variance if strict else self.most)
+        return bool(misfit <= (RULES.times * self.variance if strict else self.most))
 
 
 def kind_of(target: np.ndarray, weights: np.ndarray, dtype: Any) -> Kind:

@@ -65,7 +65,7 @@ class Store:
         seen = within(weights, levels[-1].window())
         some = values_of(seen)
         beside = float(np.sum(values_of(weights))) - float(np.sum(some))
-        made = Levels(jax.device_put(host), levels, beside, np.count_nonzero(some))
+        made = Levels(jax.device_put(host), levels, beside, int(np.count_nonzero(some)))
         small = host.cells.shape[1] <= KEPT_CELLS
         self._made = [*(self._made[:1] if small else []), (target, weights, key, made)]
         return made
