@@ -107,8 +107,8 @@ def test_covariance_equals_that_of_one_dense_matrix(three):
 
     own = [np.append(layout.place(name, "pose"), lens) for name in NAMES]
     for place in (everything, *own):
-        check(found.covariance(place), expected, place)
+        check(found.by_masks.covariance(place), expected, place)
     total = lambda name: sum(float(getattr(x.view.sums, name)) for x in seen)
     variance = total("touched_squares") / (total("touched") - layout.size)
     told = variance * inverse + (noise**2 - variance) * by_priors
-    check(found.independent(everything), told, everything)
+    check(found.by_pixels.covariance(everything), told, everything)

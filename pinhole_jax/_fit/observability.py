@@ -1,6 +1,7 @@
 """`observability`: what a mask of this scene could tell of a camera, before any mask is taken."""
 
 from collections.abc import Iterable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ from .._solver.parameters import check_free, components, labels_of, with_lens
 from .._solver.problem import UNIT_PX
 from .._solver.solver import Solver
 from .._solver.subject import Subject
-from .._solver.uncertainty import BLIND, covariance, weak_directions
+from .._solver.uncertainty import BLIND, covariance, moves_in_words, weak_directions
 from .result import to_units
 
 
@@ -83,7 +84,8 @@ def observability(
     view, blind = solver.look(canonical(camera)), BLIND[solver.dtype]
     triangle = np.asarray(view.triangle, float)
     by_px = triangle / UNIT_PX, to_units(view.to_reported, freed, camera) / UNIT_PX
-    _, weak = weak_directions(triangle, components(freed), axes_of(camera), blind)
+    words = partial(moves_in_words, components(freed), axes_of(camera))
+    _, weak = weak_directions(triangle, words, blind)
     return observability_of(labels_of(freed), *by_px, noise, blind, weak)
 
 

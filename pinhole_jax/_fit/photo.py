@@ -8,8 +8,8 @@ little, the view keeps its mask, and the fit says so. Views of one problem are r
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Protocol, TypeAlias, TypeVar
+from dataclasses import replace
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -69,7 +69,8 @@ COLOURS = Kind("photo", 0.0, np.inf, 0.0, False)
 #: By the numbers of views: photos; weights and targets (H, W).
 Photos: TypeAlias = Mapping[int, np.ndarray]
 Images: TypeAlias = Mapping[int, tuple[np.ndarray, np.ndarray]]
-V = TypeVar("V", bound="PhotoViews")
+#: Where cameras are, of one view or of many.
+V = TypeVar("V")
 
 
 class PhotoResult(NamedTuple):
@@ -113,40 +114,47 @@ def on_photo(
 ) -> tuple[PhotoResult | None, str]:
     """The camera that was found for a mask, refined on a photo; None where the mask's stays. A note
     on the photo."""
-    begin = found._replace(view=solver.look(found.camera, solver.finest))
-    views, px = _SingleView(solver, solver, begin), FINE_PX[solver.dtype]
-    there, trusted, notes = refine_on_photos(views, {0: mask}, {0: photo}, px)
+    begin, px = solver.look(found.camera, solver.finest), FINE_PX[solver.dtype]
+
+    def outline(there: tuple[Solver, Solution], k: int) -> Outline:
+        del k
+        return Outline.from_view(there[1].view)
+
+    def descended(
+        there: tuple[Solver, Solution], images: Images, depths: Sequence[int], px: float, steps: int
+    ) -> tuple[Solver, Solution]:
+        colours = replace(solver.like(COLOURS), max_steps=steps)
+        own = colours.weighed(*images[0], only_finest=max(depths) == 1)
+        levels = range(max(own.finest + 1 - max(depths), 0), own.finest + 1)
+        return own, onward(there[1], own.solve(there[1].camera, levels, fine_px=px))
+
+    (own, refined), trusted, notes = refine_on_photos(
+        (solver, found._replace(view=begin)), outline, descended, {0: mask}, {0: photo}, px
+    )
     if not trusted:
         return None, notes[0]
-    own, refined = there.own, there.found
     sums = solver.look(refined.camera, solver.finest).sums
     sums = sums._replace(touched=refined.view.sums.touched)
     return PhotoResult(refined, sums, mask_errors(own, refined.view)), notes[0]
 
 
-class PhotoViews(Protocol):
-    """Views that photos refine, and where their cameras are."""
-
-    def outline(self, k: int) -> "Outline":
-        """What a view shows, on the finest level."""
-        ...
-
-    def descended(self: V, images: Images, depths: Sequence[int], px: float, steps: int) -> V:
-        """The views fitted to images, over levels that are numbered from the finest (1), with this
-        many steps on each at most; those of `px` are negligible on the finest."""
-        ...
-
-
 def refine_on_photos(
-    views: V,
+    begin: V,
+    outline: Callable[[V, int], "Outline"],
+    descended: Callable[[V, Images, Sequence[int], float, int], V],
     masks: Mapping[int, Mask],
     photos: Photos,
     px: float,
     tell: Callable[[str], None] = lambda line: None,
 ) -> tuple[V, Photos, dict[int, str]]:
-    """The views where those photos lead that are better founded than their masks, these photos, and
-    a note on each of all. Steps of `px` are negligible at last."""
-    first = {k: views.outline(k) for k in photos}
+    """Where those photos lead that are better founded than their masks, these photos, and a note on
+    each of all. Steps of `px` are negligible at last.
+
+    - `begin`: where cameras are; `outline`: of a view there, on the finest level.
+    - `descended`: where views lead that are fitted to images, over levels that are numbered from
+      the finest (1), with this many steps on each at most; those of this many px are negligible.
+    """
+    first = {k: outline(begin, k) for k in photos}
     shares = {
         k: first[k].resolved(first[k].read(photo, masks[k], ROUNDS[0]))
         for k, photo in photos.items()
@@ -156,14 +164,14 @@ def refine_on_photos(
     notes = {k: _unresolved(share) for k, share in shares.items() if not share >= least}
     photos = {k: photo for k, photo in photos.items() if k not in notes}
     while photos:
-        there, now = views, first
+        there, now = begin, first
         for number, band in enumerate(ROUNDS):
             last = number == len(ROUNDS) - 1
             images = {k: now[k].image(photo, masks[k], band) for k, photo in photos.items()}
             depths = (1,) if number else range(FIRST_DEPTH, 0, -1)
             ends = (px, LAST_STEPS) if last else (max(px, ROUGH_PX), STEPS)
-            there = there.descended(images, depths, *ends)
-            now = {k: there.outline(k) for k in photos}
+            there = descended(there, images, depths, *ends)
+            now = {k: outline(there, k) for k in photos}
             tell(f"{len(photos)} photos: round {number + 1} of {len(ROUNDS)}")
         wrong = {}
         for k, photo in photos.items():
@@ -175,28 +183,7 @@ def refine_on_photos(
         strange = sorted((k for k in wrong if wrong[k] >= STRANGE_PX), key=wrong.__getitem__)
         out = strange[len(strange) // 2 :] or wrong
         photos = {k: photo for k, photo in photos.items() if k not in out}
-    return views, photos, notes
-
-
-@dataclass(frozen=True, eq=False)
-class _SingleView:
-    """One view: the solver of its mask, of its colours, and the camera found."""
-
-    solver: Solver
-    own: Solver
-    found: Solution
-
-    def outline(self, k: int) -> "Outline":
-        return Outline.from_view(self.found.view)
-
-    def descended(
-        self, images: Images, depths: Sequence[int], px: float, steps: int
-    ) -> "_SingleView":
-        colours = replace(self.solver.like(COLOURS), max_steps=steps)
-        own = colours.weighed(*images[0], only_finest=max(depths) == 1)
-        levels = range(max(own.finest + 1 - max(depths), 0), own.finest + 1)
-        after = own.solve(self.found.camera, levels, fine_px=px)
-        return replace(self, own=own, found=onward(self.found, after))
+    return begin, photos, notes
 
 
 class Outline(NamedTuple):

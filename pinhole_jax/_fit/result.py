@@ -1,7 +1,8 @@
 """The result of a fit as a user reads it: what all have in common, and `Fit`."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, replace
+from functools import partial
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import equinox as eqx
@@ -21,7 +22,14 @@ from .._solver.moves import Bounds, displaced, on_film
 from .._solver.parameters import LABELS, PARAMETERS, components, labels_of
 from .._solver.problem import COSINE, FINE_PX, UNIT_PX
 from .._solver.solver import Solution, Stop
-from .._solver.uncertainty import BLIND, covariance, in_words, weak_directions, weak_moves
+from .._solver.uncertainty import (
+    BLIND,
+    covariance,
+    in_words,
+    moves_in_words,
+    weak_directions,
+    weak_moves,
+)
 from .places import Free
 from .words import STATUSES, ParameterTable, accuracy, parameter_lines, parameter_table
 
@@ -313,7 +321,8 @@ def report(
     # (How far a drawn mask's errors reach is in the covariance: no direction is free for that.)
     free = [f for f in context.free if not drawn or np.isinf(f.ahead)]
     moves = [f.move for f in free] + well_known(triangle, both[1])
-    blind, weak = weak_directions(triangle, names_of_moves, axes_of(at), BLIND[dtype], moves)
+    words = partial(moves_in_words, names_of_moves, axes_of(at))
+    blind, weak = weak_directions(triangle, words, BLIND[dtype], moves)
     weak = (*map(str, free), *weak, *ended)
     open_turn = uncertain_rotation(cov, labels, at)
     nearly_free = bool(context.free or weak_moves(triangle, names_of_moves))
@@ -475,13 +484,13 @@ def without_ended(
     """Return R without the columns of parameters that are held at an end of their bounds, and words
     about them."""
     result = np.array(triangle, float)
-    ended = () if bounds is None else bounds.ended(camera)
+    ended = {} if bounds is None else bounds.ended(camera)
     moves = [PARAMETERS[label].components[0].name for label in ended]
     result[:, [components(freed).index(move) for move in moves]] = 0
     return result, held_words(ended)
 
 
-def held_words(labels: Sequence[str]) -> tuple[str, ...]:
+def held_words(labels: Iterable[str]) -> tuple[str, ...]:
     """A sentence on each parameter that is held."""
     return tuple(f"{label} is held at an end of its bounds" for label in labels)
 

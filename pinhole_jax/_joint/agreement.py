@@ -14,7 +14,7 @@ robot's ten masks the eye moved by 6 mm with where the descent began, and it was
 """
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -25,12 +25,12 @@ from .._fit.drift import sigma_of
 from .._fit.result import Context, gradients
 from .._outline.outline_errors import OutlineErrors
 from .._outline.statistics import mask_errors
-from .._solver.least_squares import Descent, LinearSolution, Rows, solve
+from .._solver.least_squares import LinearSolution, Rows, solve
 from .._solver.parameters import components
 from .._solver.problem import FINE_PX, UNIT_PX
 from .._solver.solver import Solver
 from .._solver.uncertainty import BLIND
-from .system import Estimates, JointProblem, Part, ViewRows
+from .system import Descent, JointProblem, Part, ViewRows
 
 #: Degrees of freedom of the t distribution of views' residuals: a few bad views count for little.
 #: (With 1 a view 3 times as far off as the middle one has a fifth of the weight, one 10 times a
@@ -109,25 +109,16 @@ class Agreement:
             return 1.0
         return (self.excess * width_by_few(self.freedom)) ** 2
 
-    def covariance(self, place: np.ndarray) -> np.ndarray:
-        """The covariance (p, p) of some unknowns that the masks' errors, and priors, leave (the
-        sandwich of Huber 1967, a view at a time)."""
-        return self._by_masks.covariance(place)
-
-    def independent(self, place: np.ndarray) -> np.ndarray:
-        """The covariance (p, p) were the residuals independent and of one variance."""
-        return self._by_pixels.covariance(place)
-
-    def estimates(self, parts: Sequence[Part]) -> Estimates:
-        """The numbers by which unknowns are reported."""
-        return self.problem.estimates(parts, self.descent.state, self.descent.seen)
+    def reports(self, parts: Sequence[Part]) -> tuple[np.ndarray, np.ndarray]:
+        """The derivative of numbers that report unknowns, as `JointProblem` has it."""
+        return self.problem.reports(parts, self.descent.state, self.descent.seen)
 
     def covariance_of(self, parts: Sequence[Part], independent: bool = False) -> np.ndarray:
         """The covariance (p, p) of the numbers by which unknowns are reported; infinite, with no
         covariances, where they move along directions that change no mask."""
-        _, place, by_unknowns = self.estimates(parts)
-        known = self.independent(place) if independent else self.covariance(place)
-        result = by_unknowns @ known @ by_unknowns.T
+        by_unknowns, place = self.reports(parts)
+        errors = self.by_pixels if independent else self.by_masks
+        result = by_unknowns @ errors.covariance(place) @ by_unknowns.T
         forget(result, by_unknowns @ self.unseen[place])
         return result
 
@@ -137,55 +128,51 @@ class Agreement:
         return self.solved.unseen(BLIND[self.problem.dtype])
 
     @cached_property
-    def _by_masks(self) -> "_Sandwich":
+    def by_masks(self) -> "Sandwich":
+        """What the masks' errors, and priors, leave (the sandwich of Huber 1967, a view at a
+        time)."""
         views = zip(self.descent.seen, self.gradients, self.problem.weights, strict=True)
-        roots = []
-        for seen, gradient, weight in views:
-            values, vectors = np.linalg.eigh(self.wider * weight**2 * gradient)
-            roots.append(seen.moves.T @ vectors * np.sqrt(np.maximum(values, 0)))
-        return self._sandwich(roots)
+        return self._sandwich([self.wider * w**2 * s.moves.T @ g @ s.moves for s, g, w in views])
 
     @cached_property
-    def _by_pixels(self) -> "_Sandwich":
+    def by_pixels(self) -> "Sandwich":
+        """The same were the residuals independent and of one variance."""
         sums, eyes = [seen.view.sums for seen in self.descent.seen], self.problem.eyes
         squares = sum(float(s.touched_squares) for s in sums)
         count = max(sum(float(s.touched) for s in sums) - self.problem.size, 1)
         variance = max(squares / count, *(eye.solver.kind.least for eye in eyes))
-        return self._sandwich([variance**0.5 * part.rows.T for part in self.parts[: len(eyes)]])
+        return self._sandwich([variance * p.rows.T @ p.rows for p in self.parts[: len(eyes)]])
 
-    def _sandwich(self, of_views: list[np.ndarray]) -> "_Sandwich":
-        roots = *of_views, *(self.noise * part.rows.T for part in self.prior_rows)
-        return _Sandwich(self.solved, [*zip([p.columns for p in self.parts], roots, strict=True)])
+    def _sandwich(self, of_views: list[np.ndarray]) -> "Sandwich":
+        of_all = *of_views, *(self.noise**2 * p.rows.T @ p.rows for p in self.prior_rows)
+        return Sandwich(self.solved, zip((p.columns for p in self.parts), of_all, strict=True))
 
 
-class _Sandwich:
-    """The unknowns' covariance by errors of the right-hand side: some columns, and the root of the
-    covariance there of each.
+class Sandwich:
+    """The unknowns' covariance by errors of the right-hand side: the covariance of each part's, and
+    its columns.
 
     By those of the shared ones it is summed up once: a block's own unknowns follow these, and only
     the errors of its own views come to that. So the covariances of all blocks cost as much as there
     are views.
     """
 
-    def __init__(self, solved: LinearSolution, roots: list[tuple[np.ndarray, np.ndarray]]):
-        self._solved, self._of_block = solved, defaultdict[int, list[Any]](list)
-        back = np.linalg.pinv(solved.triangle)
-        self._shared = np.zeros(back.shape)
-        for columns, root in roots:
-            influence = back @ (solved.by_shared(columns) @ back).T @ root
-            self._shared += influence @ influence.T
-            for block in solved.owners(columns):
-                self._of_block[block].append((columns, root, influence))
+    def __init__(self, solved: LinearSolution, errors: Iterable[tuple[np.ndarray, np.ndarray]]):
+        self._solved, self._of_block = solved, defaultdict[int, Any](float)
+        for columns, covariance in errors:
+            root = solved.root(columns)
+            self._of_block[int(np.max(solved.owner[columns]))] += root.T @ covariance @ root
+        s = len(solved.shared)
+        self._shared = sum(known[:s, :s] for known in self._of_block.values())
 
     def covariance(self, place: np.ndarray) -> np.ndarray:
         """The covariance (p, p) of some unknowns."""
-        by_shared = self._solved.by_shared(place)
-        result = by_shared @ self._shared @ by_shared.T
+        shared = self._solved.root(place, -1)
+        result = shared @ self._shared @ shared.T
         for block in self._solved.owners(place):
-            for columns, root, influence in self._of_block[block]:
-                back = self._solved.root(place, block) @ self._solved.root(columns).T
-                whole, part = back @ root, by_shared @ influence
-                result += whole @ whole.T - part @ part.T
+            whole, known = self._solved.root(place, block), self._of_block[block]
+            s = shared.shape[1]
+            result += whole @ known @ whole.T - shared @ known[:s, :s] @ shared.T
         return result
 
 
@@ -221,7 +208,7 @@ def agree(
         if len(counts) < 3 or np.max(np.abs(np.log(further / problem.weights))) < SETTLED:
             return here
         problem = replace(problem, weights=further)
-        found = problem.descend(found.state, problem.max_steps, px)
+        found = found.then(problem.descend(found.state, problem.max_steps, px))
     return _agreement(problem, found, counts)
 
 
@@ -234,7 +221,8 @@ def weigh_priors(problem: JointProblem, found: Descent) -> JointProblem:
     for design in DESIGNS:
         here = _agreement(replace(problem, design=design), found, problem.weights)
         spread = sum(
-            float(np.trace(p.rows @ here.covariance(p.columns) @ p.rows.T)) for p in here.prior_rows
+            float(np.trace(p.rows @ here.by_masks.covariance(p.columns) @ p.rows.T))
+            for p in here.prior_rows
         )
         spreads.append(spread / here.noise**2)
     return replace(problem, design=DESIGNS[int(np.argmin(spreads))])
@@ -253,7 +241,7 @@ def _agreement(problem: JointProblem, found: Descent, counts: np.ndarray) -> Agr
         rows.append((errors, gradient, misfit, *_distance(eye.solver, seen, gradient * felt**2)))
     errors, gradients, misfits, squares, ranks = map(list, zip(*rows, strict=True))
 
-    freedom = sum(ranks) + sum(len(part.left) for part in prior_rows) - problem.size
+    freedom = sum(ranks) + len(prior_rows) - problem.size
     of_priors = sum(part.squares for part in prior_rows) / noise**2
     apart = float(problem.weights @ np.array(squares)) + of_priors
     several = len(rows) > 1  # (One view has none that it could differ from.)

@@ -25,13 +25,15 @@ from .._mask.mask import Mask
 from .._mask.search import guesses
 from .._outline.statistics import is_explained
 from .._rules import RULES
+from .._solver.looks import View
 from .._solver.moves import canonical, on_film, reported
+from .._solver.parameters import components
 from .._solver.priors import Prior
 from .._solver.solver import Solution, Solver
 from .door import share_means
-from .levels import Path, Tell, descend
-from .system import JointProblem, LevelEnd
-from .views import SCALE, State, indices
+from .levels import Tell, descend
+from .system import Descent, JointProblem
+from .views import SCALE, Eye, State, Unknown
 
 #: Of each view this many guesses are tried, so far apart (rad), and this many of all followed
 #: further. (Before an arm 4 and 2 find all of 8 cameras as well, in half the time, 1.6 for 3.0 s;
@@ -63,52 +65,49 @@ class LonePose(NamedTuple):
     name: str
     problem: JointProblem
     numbers: list[int]
-    others: Sequence[Path] = ()
+    others: Sequence[Descent] = ()
     free: Sequence[Free] = ()
 
-    def seen_in(self, path: Path) -> Path:
+    def seen_in(self, path: Descent) -> Descent:
         """A path of all views, as these see it."""
-        seen = [path.descent.seen[k] for k in self.numbers]
-        squares = float(sum(s.view.squares for s in seen))
-        return path._replace(descent=path.descent._replace(seen=seen, squares=squares))
+        seen = [path.seen[k] for k in self.numbers]
+        return path._replace(seen=seen, squares=sum(s.view.squares for s in seen))
 
     def apart(self, state: State, other: State) -> float:
         """The distance of two states, as the first view's camera has it."""
         eye = self.problem.eyes[0]
         return separation(eye.solver, eye.canonical(state), eye.canonical(other))
 
-    def distinct(self, paths: Sequence[Path], apart: float) -> list[Path]:
+    def distinct(self, paths: Sequence[Descent], apart: float) -> list[Descent]:
         """The paths to states whose cameras look other ways (rad) than those before."""
-        camera = lambda path: self.problem.eyes[0].canonical(path.descent.state)
+        camera = lambda path: self.problem.eyes[0].canonical(path.state)
         return [*distinct(paths, apart, camera)]
 
 
-def compare(problem: JointProblem, path: Path | None, tell: Tell) -> tuple[Path, list[LonePose]]:
-    """The best path, and what explains the masks as well, a lone pose at a time; without a path
-    from a start all poses are searched.
+def compare(problem: JointProblem, path: Descent, tell: Tell) -> tuple[Descent, list[LonePose]]:
+    """The best path, and what explains the masks as well, a lone pose at a time; if the path saw
+    nothing yet all poses are searched.
 
     Where a pose is better elsewhere, all views descend from there, and are compared again. If that
     is worse for all together they stay, and the place is one of that pose's others.
     """
-    start, poses = None if path is None else problem.start, []
+    start, poses = problem.start if path.seen else None, []
     for turn in range(ROUNDS):
-        state = problem.start if path is None else path.descent.state
         poses, moved = [], []
         for pose in _lone_poses(problem, path):
             paths, free = _places(pose, path, start, tell)
             if len(pose.numbers) == len(problem.eyes):
                 return paths[0], [pose._replace(others=paths[1:], free=free)]
-            others = [p for p in paths if pose.apart(p.descent.state, state) > RULES.same]
+            others = [p for p in paths if pose.apart(p.state, path.state) > RULES.same]
             poses.append(pose._replace(others=others, free=free))
-            if (best := paths[0].descent.state) is not state:
+            if (best := paths[0].state) is not path.state:
                 moved.append((pose, best))
-        if path is not None and (not moved or turn == ROUNDS - 1):
+        if path.seen and (not moved or turn == ROUNDS - 1):
             break
-        there = descend(problem, join(problem, state, moved), tell, [1])
-        if path is not None and there.squares > path.squares + _squares_alike(problem, path):
+        there = descend(problem, join(problem, path.state, moved), tell, [1])
+        if path.seen and there.squares > path.squares + _squares_alike(problem, path):
             break
-        path = there if path is None else path.then(there)
-    assert path is not None
+        path = path.then(there) if path.seen else there
     return path, poses
 
 
@@ -122,65 +121,60 @@ def join(problem: JointProblem, state: State, moved: list[tuple[LonePose, State]
     return State(poses, share_means(lenses, problem.unknowns), scales, state.zeros)
 
 
-def _squares_alike(problem: JointProblem, path: Path) -> float:
+def _squares_alike(problem: JointProblem, path: Descent) -> float:
     """The most by which the sums of squares of places that are as good differ."""
-    pairs = zip(problem.eyes, path.descent.seen, strict=True)
+    pairs = zip(problem.eyes, path.seen, strict=True)
     misfits = [max(e.solver.kind.variance, s.view.touched_misfit) for e, s in pairs]
     return RULES.equal_times * max(misfits)
 
 
-def _lone_poses(problem: JointProblem, path: Path | None) -> list[LonePose]:
+def _lone_poses(problem: JointProblem, path: Descent) -> list[LonePose]:
     """The poses that views show by themselves. What several of them show is held; a pose of one
     view has the lens that it shares held where the path ends."""
-    views, result = [*map(problem.unknowns_of, range(len(problem.eyes)))], []
-    number = Counter(unknown for view in views for unknown in view)
+    seen_by = lambda numbers: Counter(u for k in numbers for u in problem.unknowns_of(k))
+    number, result = seen_by(range(len(problem.eyes))), []
     for name, numbers in problem.lone_poses.items():
-        shown = Counter(unknown for k in numbers for unknown in views[k])
-        part = problem.only(numbers, [u for u in problem.unknowns if 0 < shown[u] == number[u]])
-        if len(numbers) == 1 and len(part.unknowns) < len(shown):
-            part = replace(part, unknowns=[u for u in problem.unknowns if u in shown])
-            if path is not None and np.all(
-                np.isfinite(path.descent.seen[numbers[0]].view.triangle)
-            ):
-                held, eye = _held(problem, numbers[0], path), part.eyes[0]
+        shown, alone = seen_by(numbers), len(numbers) == 1
+        some = [u for u in problem.unknowns if shown[u] and (alone or shown[u] == number[u])]
+        part = problem.only(numbers, some)
+        if alone and path.seen and any(number[u] > 1 for u in some):
+            eye, view = part.eyes[0], path.seen[numbers[0]].view
+            if np.all(np.isfinite(view.triangle)):
+                held = _held(eye, path.state, view, some)
                 part = part.seeing({0: replace(eye, solver=eye.solver.beside(held))})
         result.append(LonePose(name, part, numbers))
     return result
 
 
-def _held(problem: JointProblem, k: int, path: Path) -> Prior:
-    """What holds the lens's parameters that a view shares with others at a path's end: it counts as
-    much as what the view itself sees best.
+def _held(eye: Eye, state: State, view: View, unknowns: list[Unknown]) -> Prior:
+    """What holds the lens's parameters that a view shares with others at a state: it counts as much
+    as what the view itself sees best.
 
     (To that the view compares what it hardly sees: with more it would hardly see anything.)
     """
-    eye, view = problem.eyes[k], path.descent.seen[k].view
     freed, triangle = eye.solver.freed, np.asarray(view.triangle, float)
-    kinds = [u.kind for u in problem.unknowns_of(k) if len(u.cameras) > 1]
-    place = np.concatenate([np.zeros(0, int), *(indices(freed, kind) for kind in kinds)])
-    most, left = np.linalg.norm(triangle, 2), np.zeros(len(triangle))
-    rows = (
-        most * np.isin(np.arange(len(triangle)), place)[:, None] * np.linalg.pinv(view.to_reported)
-    )
+    shared = tuple(u.kind for u in unknowns if len(u.cameras) > 1)
+    held, most = np.isin(components(freed), components(shared)), np.linalg.norm(triangle, 2)
+    rows = most * held[:, None] * np.linalg.pinv(view.to_reported)
     # (All views' squares are least: the others pull as this one does.)
-    left[place] = -(view.along @ triangle)[place] / most
-    camera = eye.canonical(path.descent.state)
+    left = held * (view.along @ triangle) / -most
+    camera = eye.canonical(state)
     at = reported(camera, camera, freed)
     return Prior(*(jnp.asarray(np.array(x, float), eye.solver.dtype) for x in (rows, at, left)))
 
 
 def _places(
-    pose: LonePose, path: Path | None, start: State | None, tell: Tell
-) -> tuple[list[Path], Sequence[Free]]:
+    pose: LonePose, path: Descent, start: State | None, tell: Tell
+) -> tuple[list[Descent], Sequence[Free]]:
     """Paths of a lone pose that explain its masks as well as the best, which is the first and free
     along some directions."""
-    here = None if path is None else pose.seen_in(path)
+    here = pose.seen_in(path) if path.seen else path
     if len(pose.numbers) == 1 and pose.name not in pose.problem.objects():
         return _paths_of_one_view(pose, here, start)
-    problem, paths = pose.problem, [] if here is None else [here]
-    if here is None or not _is_content(problem, here):
-        found = _search_together(pose, (here.descent.state if here else problem.start), tell)
-        paths = [f for f in found if here is None or f.squares < here.squares] or paths
+    problem, paths = pose.problem, [here]
+    if not (here.seen and _is_content(problem, here)):
+        found = _search_together(pose, here.state, tell)
+        paths = [f for f in found if f.squares < here.squares or not here.seen] or paths
     paths += _lookalikes(pose, paths[0], tell)
     # The first, if none is better; what explains the masks as well, each once.
     least = min(path.squares for path in paths)
@@ -192,21 +186,20 @@ def _places(
 
 
 def _paths_of_one_view(
-    pose: LonePose, here: Path | None, start: State | None
-) -> tuple[list[Path], Sequence[Free]]:
+    pose: LonePose, here: Descent, start: State | None
+) -> tuple[list[Descent], Sequence[Free]]:
     """Paths of the pose of one view, by what `fit_camera` asks of its mask."""
     problem, (eye,) = pose.problem, pose.problem.eyes
-    state = problem.start if here is None else here.descent.state
-    solver, camera = eye.standpoint(state)
+    solver, camera = eye.standpoint(here.state)
     begin = None if start is None else eye.canonical(start)
     mask = replace(eye.mask, camera=on_film(camera, eye.mask.camera))
     silent = lambda news: None
 
-    def onward(place: Solution) -> Path:
-        there = eye.with_camera(pose.name, place.camera, state)
+    def onward(place: Solution) -> Descent:
+        there = eye.with_camera(pose.name, place.camera, here.state)
         return descend(problem, there, silent, [1])
 
-    if here is None:
+    if not here.seen:
         places = everywhere(solver, mask, silent)
         found = _keep_agreeing(problem, solver, mask, places, begin)
         return [*map(onward, found)], places.free
@@ -216,7 +209,8 @@ def _paths_of_one_view(
     else:
         places = looked_round(solver, mask, now, begin, silent)
     found = _keep_agreeing(problem, solver, mask, places, begin)
-    is_here = [_is_same(solver, place, now) for place in found]
+    near = lambda place: separation(solver, place.camera, camera) < RULES.same
+    is_here = [near(place) and not better(solver, place.view, now.view) for place in found]
     each = zip(found, is_here, strict=True)
     paths = [here.then(onward(place)) for place, is_known in each if not is_known]
     # (From a start, what is as good and nearer to it comes first.)
@@ -239,57 +233,49 @@ def _keep_agreeing(
     return [c.found._replace(view=c.whole) for c in kept]
 
 
-def _is_same(solver: Solver, place: Solution, other: Solution) -> bool:
-    near = separation(solver, place.camera, other.camera) < RULES.same
-    return bool(near and not better(solver, place.view, other.view))
-
-
-def _is_content(problem: JointProblem, path: Path) -> bool:
+def _is_content(problem: JointProblem, path: Descent) -> bool:
     """Whether a descent's end may be right: where masks are exact, whether they are explained, else
     whether it is at rest and the scenes lie on the masks."""
-    views = [seen.view for seen in path.descent.seen]
+    views = [seen.view for seen in path.seen]
     pairs = zip(problem.eyes, views, strict=True)
     # (Zeros that are not where they are sought explain no mask.)
     if all(eye.solver.kind.exact for eye in problem.eyes) and not problem.zeros:
         return all(is_explained(eye.solver, view) for eye, view in pairs)
-    return path.descent.ended and iou_and_rms([v.sums for v in views])[0] >= LIKELY_IOU
+    return path.ended and iou_and_rms([v.sums for v in views])[0] >= LIKELY_IOU
 
 
-def _search_together(pose: LonePose, state: State, tell: Tell) -> list[Path]:
+def _search_together(pose: LonePose, state: State, tell: Tell) -> list[Descent]:
     """Paths from the views' guesses that explain the masks best, the best first."""
     few = pose.problem.few(LOOKED_AT)
-    coarsest, level = replace(few, depth=few.levels), few.levels
-    tried = []
+    coarsest, tried = replace(few, depth=few.levels), []
     for eye in few.eyes:
         proposed = guesses(eye.mask, eye.solver.subject.scene, eye.solver.subject.ball)
         for guess in islice(distinct(proposed, RULES.start), TRIED):
             there = eye.with_camera(pose.name, canonical(guess), state)
-            tried.append(Path(coarsest.stay(there), (LevelEnd(there, level, 0),)))
+            tried.append(coarsest.stay(there))
     tell(f"{len(tried)} guesses of {len(few.eyes)} views")
     best_first = lambda paths: sorted(paths, key=lambda path: path.squares)
 
-    paths = []
-    for path in pose.distinct(best_first(tried), RULES.start)[: 2 * FOLLOWED]:
-        there = coarsest.descend(path.descent.state, FIRST_STEPS, ROUGH_PX)
-        paths.append(Path(there, (*path.way, LevelEnd(there.state, level, there.steps))))
+    likely = pose.distinct(best_first(tried), RULES.start)[: 2 * FOLLOWED]
+    paths = [p.then(coarsest.descend(p.state, FIRST_STEPS, ROUGH_PX)) for p in likely]
     paths = pose.distinct(best_first(paths), RULES.start)[:FOLLOWED]
     for level in range(few.levels, 0, -1):
         # (All views are looked at where few states are left.)
         part = few if level > 2 else pose.problem
-        onward = (p.then(descend(part, p.descent.state, tell, [level])) for p in paths)
+        onward = (p.then(descend(part, p.state, tell, [level])) for p in paths)
         best, *others = pose.distinct(best_first(onward), RULES.same)
         most = (RULES.times if level > 1 else 1 + RULES.little) * best.squares
         paths = [best, *(p for p in others if p.squares <= most)]
     return paths
 
 
-def _lookalikes(pose: LonePose, best: Path, tell: Tell) -> list[Path]:
+def _lookalikes(pose: LonePose, best: Descent, tell: Tell) -> list[Descent]:
     """Paths from views that look like the best one: its object is near its own mirror image, or
     turned into itself."""
-    problem, state = pose.problem, best.descent.state
+    problem, state = pose.problem, best.state
     eye, few = problem.eyes[0], problem.few(LOOKED_AT)
     coarse = replace(few, depth=min(problem.levels, 2))
-    noise = sum(RULES.exact * float(seen.view.sums.touched) for seen in best.descent.seen)
+    noise = sum(RULES.exact * float(seen.view.sums.touched) for seen in best.seen)
     most = RULES.times * sum(seen.view.squares for seen in coarse.look(state)) + noise
     paths = []
     for camera in [*eye.solver.subject.alike.views(eye.canonical(state))][:ALIKE]:

@@ -1,6 +1,11 @@
-"""The arguments of a joint fit, checked, and the problem that they make."""
+"""The arguments of a joint fit, checked, and the problem that they make.
 
-from collections.abc import Mapping, Sequence
+What is known of cameras, objects and joints is as in `fit_camera`, by their names. A prior of a
+number is a residual beside those of the masks, in units in which their noise is its standard
+deviation.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -18,19 +23,13 @@ from .._mask.pyramid import LEAST_CELLS
 from .._mask.target import check_target, levelled
 from .._scene.assembly import Posture
 from .._scene.scene import check_scene
-from .._solver.moves import canonical
-from .._solver.parameters import (
-    PARAMETERS,
-    as_names,
-    check_free,
-    in_one,
-    with_lens,
-)
+from .._solver.moves import Bounds, canonical
+from .._solver.parameters import PARAMETERS, as_names, check_free, in_one, with_lens
+from .._solver.priors import bounds_of, measured
 from .._solver.solver import Solver
 from .._solver.subject import Subject
-from .knowledge import bounds_by_name, priors_of, scales_of, zeros_of
-from .system import JointProblem
-from .views import MOTIONS, POSE, SCALE, Eye, JointView, State, Unknown
+from .system import JointPrior, JointProblem, Part
+from .views import MOTIONS, POSE, SCALE, ZERO, Eye, JointView, State, Unknown
 
 #: From this many views on, small masks have pyramids of few cells (MB less for each of them, and a
 #: program more for all): 14 MB are 14 GB of a thousand.
@@ -70,7 +69,7 @@ def joint_problem(
     poses, places = _poses("objects", objects), _poses("rig", rig)
     _check_names(views, cameras, poses, places)
 
-    scales = scales_of(prior, views)
+    scales = {view.scale: 1.0 for view in views if view.scale is not None}
     moving = {name: RIG if name in places else name for name in cameras}
     others = [*((name, POSE) for name in poses), *((name, SCALE) for name in scales)]
     cameras, unknowns = with_unknowns(cameras, free, shared, [*moving.values()], others)
@@ -84,8 +83,8 @@ def joint_problem(
     eyes = []
     for k, view in enumerate(views):
         name, mask = view.camera, _checked_mask(k, view, cameras, search, as_given)
-        known = ((f"views[{k}].{x}", getattr(view, x)) for x in ("mount", "placed"))
-        mount, placed = (_pose(*pose) for pose in known)
+        known = {f"views[{k}].{x}": getattr(view, x) for x in ("mount", "placed")}
+        mount, placed = (np.eye(4) if x is None else check_pose(n, x) for n, x in known.items())
         owners, place = owners_of(name, unknowns), places.get(name, np.eye(4))
         own = subjects[id(view.scene)], mask, (POSE, *owners), max_steps, limits[name]
         solver = Solver.on(*own, **options)
@@ -102,7 +101,9 @@ def joint_problem(
         zeros=zeros_of(joint_zeros, views),
         widens=widens,
     )
-    return replace(problem, priors=priors_of(prior, problem))
+    priors = priors_of(prior, problem)
+    scales |= {part.name: mean for part, _, mean, _ in priors if part.kind == SCALE}
+    return replace(problem, priors=priors, start=problem.start._replace(scales=scales))
 
 
 def with_unknowns(
@@ -181,8 +182,96 @@ def share_means(cameras: Mapping[str, Camera], unknowns: Sequence[Unknown]) -> d
     return result
 
 
-def _pose(name: str, given: Any) -> Pose:
-    return np.eye(4) if given is None else check_pose(name, given)
+# --- what is known beforehand ---------------------------------------------------------------------
+
+
+def priors_of(prior: Any, problem: JointProblem) -> list[JointPrior]:
+    """Priors of cameras, objects and scales: one for each unknown that cameras have in common.
+
+    Raises ValueError for what is no prior of these, and for a scale that is not positive.
+    """
+    others = dict.fromkeys([*problem.objects(), *problem.start.scales])
+    result = []
+    for name, given in by_name("prior", prior, problem.cameras, others).items():
+        parts = problem.parts_of(name)
+        # (A small turn has no value that could be known.)
+        labels = [x for part in parts for x in part.labels if not x.startswith("rotation")]
+        for label, mean, std in zip(given, *measured(given, labels).tolist(), strict=True):
+            if label == SCALE and not mean > 0:
+                raise ValueError(f"`prior`: expected a positive scale of {name!r}, got {mean}")
+            part = next(part for part in parts if label in part.labels)
+            result.append(JointPrior(part, label, mean, std))
+    return [*{str(prior): prior for prior in result}.values()]
+
+
+def zeros_of(given: Any, views: Sequence[JointView]) -> list[JointPrior]:
+    """Priors of the zeros of joints that are sought: about where their readings have them.
+
+    Raises ValueError for what is no standard deviation of a joint.
+    """
+    if given is None:
+        return []
+    units = {}
+    for k, view in enumerate(views):
+        if view.posture is not None:
+            units |= dict(zip(view.posture.joints, view.posture.units, strict=True))
+            if view.mount is not None:
+                words = "expected no `mount` with a `posture`, as joints move it too"
+                raise ValueError(f"`joint_zeros`: {words}, got both in views[{k}]")
+    if not units:
+        raise ValueError("`joint_zeros`: expected views with a `posture`, got none")
+    if not isinstance(given, Mapping):
+        given = {name: given for name, unit in units.items() if unit == "rad"}
+    result = []
+    for name, std in given.items():
+        if name not in units:
+            raise ValueError(
+                f"`joint_zeros`: expected joints among {', '.join(units)}, got {name!r}"
+            )
+        if not (np.ndim(std) == 0 and np.isfinite(std) and std > 0):
+            words = f"expected a positive deviation of {name!r}, got {std!r}"
+            raise ValueError(f"`joint_zeros`: {words}")
+        result.append(JointPrior(Part(name, ZERO), ZERO, 0.0, float(std)))
+    return result
+
+
+def bounds_by_name(
+    bounds: Any, cameras: Mapping[str, Camera], unknowns: Sequence[Unknown]
+) -> dict[str, Bounds | None]:
+    """Bounds of each camera's parameters. Raises ValueError for what is no bound of these, or not
+    the same for cameras that share a parameter."""
+    given = by_name("bounds", bounds, cameras)
+    freed = tuple(dict.fromkeys(u.kind for u in unknowns if u.kind in PARAMETERS))
+    result = {n: bounds_of(given.get(n), camera, freed) for n, camera in cameras.items()}
+    for owner, row, group in unknowns:
+        for name in group:
+            ends = ((given.get(n) or {}).get(row, ()) for n in (name, owner))
+            if not np.array_equal(*ends):
+                words = f"expected the same of {row} for {owner} and {name}, which share it"
+                raise ValueError(f"`bounds`: {words}")
+    return result
+
+
+def by_name(
+    argument: str, given: Any, cameras: Iterable[str], objects: Iterable[str] = ()
+) -> dict[str, Any]:
+    """Values for each camera and object: by their names, or the same for each camera.
+
+    Raises ValueError for names of neither.
+    """
+    if not given:
+        return {}
+    if not (isinstance(given, Mapping) and any(isinstance(x, Mapping) for x in given.values())):
+        return dict.fromkeys(cameras, given)
+    known = [*cameras, *objects]
+    if unknown := [name for name in given if name not in known]:
+        raise ValueError(
+            f"`{argument}`: expected names among {', '.join(known)}, got {unknown[0]!r}"
+        )
+    return dict(given)
+
+
+# --- what is refused ------------------------------------------------------------------------------
 
 
 def _poses(argument: str, given: Mapping[str, Any] | None) -> dict[str, Pose]:

@@ -21,9 +21,9 @@ from .agreement import Agreement
 from .alternatives import LonePose, compare, join
 from .door import SHARED, joint_problem
 from .joint_fit import JointFit
-from .levels import Path, Tell, descend, finish
+from .levels import Tell, descend, finish
 from .summary import report
-from .system import JointProblem
+from .system import Descent, JointProblem
 from .velocities import answer_of, velocity
 from .views import POSE, JointView
 
@@ -231,9 +231,8 @@ def _fit(problem: JointProblem, search: bool, tell: Tell) -> tuple[JointFit, Agr
         words = "expected one unknown pose that each view shows, got several or none"
         raise ValueError(f"`search`: {words}")
     # 3 Descend from the start, coarse to fine.
-    path = None
-    if not search:
-        path = descend(problem, problem.start, tell, range(problem.levels, 0, -1))
+    depths = () if search else range(problem.levels, 0, -1)
+    path = descend(problem, problem.start, tell, depths)
     # 4 Weigh what else explains the masks.
     path, poses = compare(problem, path, tell)
     if problem.zeros:
@@ -251,15 +250,15 @@ def _fit(problem: JointProblem, search: bool, tell: Tell) -> tuple[JointFit, Agr
 
 
 def _with_zeros(
-    problem: JointProblem, path: Path, poses: list[LonePose], tell: Tell
-) -> tuple[JointProblem, Path, list[LonePose]]:
+    problem: JointProblem, path: Descent, poses: list[LonePose], tell: Tell
+) -> tuple[JointProblem, Descent, list[LonePose]]:
     """The problem in which the zeros of joints are sought, and paths on from those without."""
-    problem, state = problem.with_zeros(), path.descent.state
+    problem, state = problem.with_zeros(), path.state
     depths = range(min(problem.levels, ZEROS_FROM), 0, -1)
     onward = lambda state: descend(problem, state, tell, depths)
     result = []
     for pose in poses:
-        states = [join(problem, state, [(pose, x.descent.state)]) for x in pose.others]
+        states = [join(problem, state, [(pose, x.state)]) for x in pose.others]
         result.append(pose._replace(problem=problem, others=[*map(onward, states)]))
     return problem, path.then(onward(state)), result
 

@@ -1,6 +1,8 @@
 """`joint_observability`: what masks of several views could tell, before any is taken."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -8,16 +10,15 @@ import numpy as np
 from .._camera.camera import Camera
 from .._fit.observability import Observability, observability_of
 from .._numerics.arrays import ArrayLike, Input
-from .._rules import RULES
 from .._solver.priors import Pair
 from .._solver.problem import UNIT_PX
-from .._solver.uncertainty import BLIND, sentence
+from .._solver.uncertainty import BLIND, chief_words, weak_directions
 from .door import joint_problem
-from .system import Estimates, JointProblem, ViewRows
-from .views import MOTIONS, SCALE, ZERO, JointView, State
+from .system import JointProblem
+from .views import MOTIONS, SCALE, ZERO, JointView
 
-#: An unknown's part in a direction is named if it is no smaller.
-CHIEF = 0.35
+#: What the numbers of a rigid motion are called.
+TWIST_WORDS = ["rotation"] * 3 + ["position"] * 3
 
 
 def joint_observability(
@@ -60,11 +61,14 @@ def joint_observability(
     for part in problem.parts(state, seen, noise):
         tables.append(part.rows @ (np.eye(size)[part.columns] * unit))
     triangle: Any = np.linalg.qr(np.concatenate(tables), mode="r")
-    estimates = _estimates(problem, state, seen)
-    reported = estimates.by_unknowns @ (np.eye(size)[estimates.place] * unit)
+    others = *problem.objects(), *problem.named(SCALE), *problem.named(ZERO)
+    parts = {name: problem.parts_of(name) for name in (*problem.cameras, *others)}
+    labels = (f"{name} {x}" for name, some in parts.items() for part in some for x in part.labels)
+    by_unknowns, place = problem.reports([*chain(*parts.values())], state, seen)
+    reported = by_unknowns @ (np.eye(size)[place] * unit)
     blind = BLIND[problem.dtype]
-    weak = _weak(problem, triangle, blind)
-    return observability_of(estimates.labels, triangle, reported, noise, blind, weak)
+    _, weak = weak_directions(triangle, partial(_words, problem), blind)
+    return observability_of(tuple(labels), triangle, reported, noise, blind, weak)
 
 
 def _blank(view: Any, cameras: Any) -> Any:
@@ -79,36 +83,10 @@ def _blank(view: Any, cameras: Any) -> Any:
     return view._replace(target=mask, photo=None)
 
 
-def _estimates(problem: JointProblem, state: State, seen: list[ViewRows]) -> Estimates:
-    """All reported numbers, with the names of their owners before their labels."""
-    named = *problem.objects(), *problem.named(SCALE), *problem.named(ZERO)
-    owners = dict.fromkeys([*problem.cameras, *named])
-    pairs = [(owner, part) for owner in owners for part in problem.parts_of(owner)]
-    labels = tuple(f"{owner} {label}" for owner, part in pairs for label in part.labels)
-    found = problem.estimates([part for _, part in pairs], state, seen)
-    return found._replace(labels=labels)
-
-
-def _weak(problem: JointProblem, triangle: np.ndarray, blind: float) -> Iterator[str]:
-    """Sentences on directions that change masks little, or not at all."""
-    _, values, directions = np.linalg.svd(triangle)
-    shares = values / max(float(values[0]), 1e-300)
-    for share, direction in zip(shares[::-1], directions[::-1], strict=True):
-        if share <= RULES.weak:
-            yield sentence(_words(problem, direction), share, bool(share <= blind))
-
-
 def _words(problem: JointProblem, direction: np.ndarray) -> list[str]:
     """The unknowns that move along a direction."""
-    sizes: dict[str, float] = {}
-    for unknown in problem.unknowns:
-        part = direction[problem.place(unknown.name, unknown.kind)]
-        parts = {unknown.kind: part}
-        if unknown.kind in MOTIONS:
-            parts = {"rotation": part[:3], "position": part[3:]}
-        if unknown.kind == "position":
-            parts = {"position": part}
-        for word, numbers in parts.items():
-            sizes[f"the {word} of {unknown.name}"] = float(np.linalg.norm(numbers))
-    chief = sorted((w for w in sizes if sizes[w] > CHIEF), key=lambda w: -sizes[w])
-    return chief or ["a mixture of all unknowns"]
+    words = []
+    for u in problem.unknowns:
+        each = TWIST_WORDS[MOTIONS[u.kind]] if u.kind in MOTIONS else [u.kind] * u.size
+        words += [f"the {word} of {u.name}" for word in each]
+    return chief_words(words, direction) or ["a mixture of all unknowns"]

@@ -1,19 +1,18 @@
 """The way of many views from coarse to fine, and to the end, where outliers lose their weight, and
 photos refine: all learn their colours beside outlines that all views' camera gives."""
 
-from collections.abc import Callable, Container, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from .._fit.photo import COLOURS, OF_MASK, Images, Outline, refine_on_photos
 from .._rules import RULES
-from .._solver.least_squares import Descent
 from .._solver.looks import Sums
 from .._solver.problem import COARSE_PX, FINE_PX
 from .agreement import Agreement, agree, weigh_priors
-from .system import JointProblem, LevelEnd
+from .system import Descent, JointProblem, LevelEnd
 from .views import State
 
 #: This many steps at most on a level that leads to finer ones. (An arm in three postures, 24 fits:
@@ -27,146 +26,108 @@ DRAWN_PX = 5e-3
 Tell = Callable[[str], None]
 
 
-class Path(NamedTuple):
-    """A descent's end, and the way there from the start (0 steps)."""
-
-    descent: Descent
-    way: tuple[LevelEnd, ...]
-
-    @property
-    def steps(self) -> tuple[int, ...]:
-        """The number of steps on each level."""
-        return tuple(end.steps for end in self.way[1:])
-
-    @property
-    def squares(self) -> float:
-        """The sum of squares, infinite where it is none."""
-        return self.descent.squares if np.isfinite(self.descent.squares) else np.inf
-
-    def then(self, further: "Path") -> "Path":
-        """A further descent, with the steps of both."""
-        return further._replace(way=self.way + further.way[1:])
-
-
 def descend(
     problem: JointProblem,
     state: State,
     tell: Tell,
     depths: Sequence[int],
     px: float | None = None,
-) -> Path:
-    """The path from level to level; steps on the finest are negligible below this many px (None: as
-    `problem.px` has it)."""
-    way = [LevelEnd(state, depths[0], 0)]
-    found = Descent(state, [], np.inf, 0, False)
+) -> Descent:
+    """The descent from level to level, nothing seen yet where there is none; steps on the finest
+    are negligible below this many px (None: as `problem.px` has it)."""
+    found = Descent(state, [], np.inf, 0, False, (LevelEnd(state, max(depths, default=0), 0),))
     for depth in depths:
         least = (px or problem.px) if depth == 1 else COARSE_PX
         most = problem.max_steps if depth == 1 else min(problem.max_steps, COARSE_STEPS)
-        found = replace(problem, depth=depth).descend(found.state, most, least)
-        way.append(LevelEnd(found.state, depth, found.steps))
+        found = found.then(replace(problem, depth=depth).descend(found.state, most, least))
         left = f"{depth - 1} level{'s' * (depth != 2)} left"
         tell(f"{len(problem.eyes)} views: {found.steps} steps, {left}")
-    return Path(found, tuple(way))
-
-
-@dataclass(frozen=True, eq=False)
-class _ManyViews:
-    """The problem of masks and that of colours, and the path to where the unknowns are."""
-
-    of_masks: JointProblem
-    own: JointProblem
-    path: Path
-
-    def outline(self, k: int) -> Outline:
-        return Outline.from_view(self.own.eyes[k].look(self.path.descent.state))
-
-    def descended(
-        self, images: Images, depths: Sequence[int], px: float, steps: int
-    ) -> "_ManyViews":
-        eyes = {}
-        for k, image in images.items():
-            eye = self.of_masks.eyes[k]
-            colours = replace(eye, solver=eye.solver.like(COLOURS))
-            eyes[k] = colours.weighed(*image, only_finest=max(depths) == 1)
-        weights = _counts(self.of_masks, images) * self.of_masks.weights
-        own = replace(self.of_masks.seeing(eyes), weights=weights)
-        brief, silent = replace(own, max_steps=steps), lambda words: None
-        further = descend(brief, self.path.descent.state, silent, depths, px)
-        return replace(self, own=own, path=self.path.then(further))
-
-
-def _counts(problem: JointProblem, photos: Container[int]) -> np.ndarray:
-    """How much each view counts beside photos: a mask little."""
-    return np.array([1.0 if k in photos else OF_MASK for k in range(len(problem.eyes))])
+    return found
 
 
 def agreement_on_photos(
-    before: Agreement, path: Path, px: float, tell: Tell
-) -> tuple[Agreement, Path, tuple[str, ...]]:
-    """The agreement of photos, with the path to it and a note on each photo; that of masks, where
-    no photo is better founded than its mask. Steps of `px` are negligible."""
+    before: Agreement, px: float, tell: Tell
+) -> tuple[Agreement, tuple[str, ...]]:
+    """The agreement of photos, with a note on each; that of masks, where no photo is better founded
+    than its mask. Steps of `px` are negligible."""
     problem, eyes = before.problem, before.problem.eyes
     photos = {k: np.asarray(e.shot.photo) for k, e in enumerate(eyes) if e.shot.photo is not None}
-    views = _ManyViews(problem, problem, path._replace(descent=before.descent))
-    masks = {k: eyes[k].mask for k in photos}
-    views, trusted, notes = refine_on_photos(views, masks, photos, px, tell)
-    found, path = before, views.path
+    # (Beside photos a mask counts little.)
+    counts = lambda some: np.array([1.0 if k in some else OF_MASK for k in range(len(eyes))])
+
+    def outline(there: tuple[JointProblem, Descent], k: int) -> Outline:
+        return Outline.from_view(there[0].eyes[k].look(there[1].state))
+
+    def descended(
+        there: tuple[JointProblem, Descent],
+        images: Images,
+        depths: Sequence[int],
+        px: float,
+        steps: int,
+    ) -> tuple[JointProblem, Descent]:
+        seen = {}
+        for k, image in images.items():
+            colours = eyes[k].solver.like(COLOURS)
+            solver = colours.weighed(*image, only_finest=max(depths) == 1)
+            seen[k] = replace(eyes[k], solver=solver)
+        own = replace(problem.seeing(seen), weights=counts(images) * problem.weights)
+        brief, silent = replace(own, max_steps=steps), lambda words: None
+        return own, there[1].then(descend(brief, there[1].state, silent, depths, px))
+
+    begin, masks = (problem, before.descent), {k: eyes[k].mask for k in photos}
+    (own, end), trusted, notes = refine_on_photos(
+        begin, outline, descended, masks, photos, px, tell
+    )
+    found = before
     if trusted:
-        counts = _counts(problem, trusted)
-        own = replace(views.own, weights=counts)
-        end = own.descend(path.descent.state, own.max_steps, px)
-        found = agree(own, end, px, counts)
-        last = LevelEnd(found.descent.state, 1, found.descent.steps)
-        path = path._replace(way=(*path.way, last))
-    return found, path, tuple(f"view {k}: {notes[k]}" for k in sorted(notes))
+        own = replace(own, weights=counts(trusted))
+        end = end.then(own.descend(end.state, own.max_steps, px))
+        found = agree(own, end, px, own.weights)
+    return found, tuple(f"view {k}: {notes[k]}" for k in sorted(notes))
 
 
 class Outcome(NamedTuple):
-    """The end of a path, and the views' agreement there.
+    """The end of a descent, and the views' agreement there.
 
-    - `problem`: whose views look at their masks, or at their photos where these decided.
+    - `problem`: whose views look at all of their masks.
     - `whole`: the sums over all pixels of each mask.
     - `astray`: the share of each outline that is far from the mask's edge: no fit looked at it.
     - `notes`: what photos say, as sentences.
     """
 
     problem: JointProblem
-    path: Path
     found: Agreement
     whole: list[Sums]
     astray: list[float]
-    notes: tuple[str, ...]
+    notes: tuple[str, ...] = ()
 
 
-def finish(problem: JointProblem, path: Path, tell: Tell, photos: bool = False) -> Outcome:
-    """The end of a path to the finest level: where masks are not exact, pixels far from their edges
-    lose their weight, and views that err by more than most count less. Then views are refined on
-    `photos`, if that is asked for."""
+def finish(problem: JointProblem, path: Descent, tell: Tell, photos: bool = False) -> Outcome:
+    """The end of a descent to the finest level: where masks are not exact, pixels far from their
+    edges lose their weight, and views that err by more than most count less. Then views are refined
+    on `photos`, if that is asked for."""
     eyes, reach, near = problem.eyes, problem.outlier_px, problem
-    misfits = [seen.view.touched_misfit for seen in path.descent.seen]
+    misfits = [seen.view.touched_misfit for seen in path.seen]
     inexact = [k for k, misfit in enumerate(misfits) if misfit > RULES.exact]
     px = DRAWN_PX if inexact else FINE_PX[problem.dtype]
     if reach is None or not inexact:
-        path = path.then(descend(problem, path.descent.state, tell, [1], px))
+        path = path.then(descend(problem, path.state, tell, [1], px))
     else:
         for times in REACHES:
             edges = {k: eyes[k].mask.near_edge(times * reach) for k in inexact}
-            near = problem.seeing({k: eyes[k].weighed(edges[k], only_finest=True) for k in inexact})
-            near = weigh_priors(near, path.descent) if times == 1 else near
-            last = px if times == 1 else COARSE_PX
-            path = path.then(descend(near, path.descent.state, tell, [1], last))
+            near = problem.seeing({k: eyes[k].weighed(edges[k]) for k in inexact})
+            near = weigh_priors(near, path) if times == 1 else near
+            path = path.then(descend(near, path.state, tell, [1], px if times == 1 else COARSE_PX))
 
-    by_masks = agree(near, path.descent, px)
+    by_masks = agree(near, path, px)
     whole = [eye.look(by_masks.descent.state).sums for eye in eyes]
     counted = [float(seen.view.sums.touched) for seen in by_masks.descent.seen]
     touched = [float(sums.touched) for sums in whole]
     astray = [1 - n / t if t else 0.0 for n, t in zip(counted, touched, strict=True)]
     if not photos:
-        return Outcome(problem, path, by_masks, whole, astray, ())
+        return Outcome(problem, by_masks, whole, astray)
 
-    found, path, notes = agreement_on_photos(by_masks, path, px, tell)
+    found, notes = agreement_on_photos(by_masks, px, tell)
     if found is not by_masks:
         whole = [eye.look(found.descent.state).sums for eye in eyes]
-    kept = zip(found.problem.eyes, near.eyes, eyes, strict=True)
-    decided = [mask if eye is looked else eye for eye, looked, mask in kept]
-    return Outcome(replace(problem, eyes=decided), path, found, whole, astray, notes)
+    return Outcome(problem, found, whole, astray, notes)

@@ -61,7 +61,7 @@ def report(end: Outcome, free: Mapping[str, Sequence[Free]]) -> JointFit:
         views=views,
         excess=found.excess,
         weak=(*_weak_scales(scales), *open_still, *_disagreement(found, views), *end.notes),
-        steps=end.path.steps,
+        steps=found.descent.taken,
         scales=scales,
         joint_zeros=_zeros(found),
     )
@@ -98,7 +98,7 @@ def _worth(found: Agreement, k: int) -> float:
     if np.any(np.abs(less.unseen[place]) > HARDLY):
         return float("inf")
     with np.errstate(all="ignore"):
-        before, after = (np.linalg.slogdet(x.covariance(place))[1] for x in (found, less))
+        before, after = (np.linalg.slogdet(x.by_masks.covariance(place))[1] for x in (found, less))
         return float(np.exp((after - before) / (2 * len(place))))
 
 
@@ -108,15 +108,17 @@ def _camera_fit(end: Outcome, name: str, views: tuple[ViewFit, ...], free: Seque
     k, eye, state = numbers[0], problem.eyes[numbers[0]], found.descent.state
     levels, seen = eye.solver.levels, found.descent.seen[k]
     in_carrier = lambda state: at_pose(state.lenses[name], state.poses[eye.moving] @ eye.rig)
-    way = [Stop(in_carrier(p.state), levels[eye.level(p.depth)], p.steps) for p in end.path.way]
+    ends = found.descent.way
+    way = [Stop(in_carrier(p.state), levels[eye.level(p.depth)], p.steps) for p in ends]
 
     parts = problem.parts_of(name)
-    estimates, covariance = found.estimates(parts), found.covariance_of(parts)
+    covariance = found.covariance_of(parts)
     here = Solution(eye.canonical(state), seen.view, ())
     free = [transported(eye.solver, here, direction) for direction in free]
     if free:  # its covariance is to hold what is free about it
-        own = np.searchsorted(problem.columns(k), estimates.place)
-        to_reported = estimates.by_unknowns @ np.linalg.pinv(seen.moves)[own]
+        by_unknowns, place = found.reports(parts)
+        own = np.searchsorted(problem.columns(k), place)
+        to_reported = by_unknowns @ np.linalg.pinv(seen.moves)[own]
         covariance += widened(to_reported, free, 0.0)
         lost = [to_reported @ f.move for f in free if np.isinf(f.ahead)]
         forget(covariance, np.array(lost).reshape(-1, len(covariance)).T)
@@ -125,11 +127,11 @@ def _camera_fit(end: Outcome, name: str, views: tuple[ViewFit, ...], free: Seque
     fit = Fit(
         camera=on_film(in_carrier(state), film),
         status="converged",
-        names=estimates.labels,
+        names=tuple(label for part in parts for label in part.labels),
         covariance=covariance,
         rms=rms,
         iou=iou,
-        steps=end.path.steps,
+        steps=found.descent.taken,
         history=tuple(progress_at(stop, film) for stop in way),
         independent_covariance=found.covariance_of(parts, independent=True),
         mask_error=max(errors, key=lambda error: error.px, default=None),
@@ -173,10 +175,8 @@ def _status(
 def _is_compared(end: Outcome, k: int) -> bool:
     """True if the fit compared other places of the one pose that view k leaves unknown: several
     views share it, or there is no other."""
-    poses = [u.name for u in end.problem.unknowns_of(k) if u.kind == POSE]
     lone = end.problem.lone_poses
-    views = lone.get(poses[0], []) if len(poses) == 1 else []
-    return len(views) > 1 or (len(views) == 1 and len(lone) == 1)
+    return any(k in views and (len(views) > 1 or len(lone) == 1) for views in lone.values())
 
 
 def _is_explained(found: Agreement, k: int) -> bool:

@@ -8,21 +8,17 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
 from .._camera.camera import Camera
 from .._camera.poses import Pose, adjoint, exponential, inverse
 from .._numerics.threads import in_threads
-from .._solver.least_squares import (
-    Descent,
-    Rows,
-    column_norms,
-    held_to_the_end,
-    levenberg_marquardt,
-)
+from .._solver.least_squares import Rows, column_norms, held_to_the_end, slope_of, solve
 from .._solver.looks import View
+from .._solver.moves import Move, moved
 from .._solver.parameters import LABELS, PARAMETERS, labels_of
-from .._solver.problem import COARSE_PX, FINE_PX
+from .._solver.problem import COARSE_PX, COSINE, FINE_PX, UNIT_PX
 from .views import (
     MOTIONS,
     POSE,
@@ -36,10 +32,11 @@ from .views import (
     indices,
     reported_twist,
     with_parameter,
-    with_step,
 )
 from .zeros import with_joints
 
+#: Damping of the first step, in squares of `sizes`, and what it is at least.
+FIRST_DAMPING, LEAST_DAMPING = 1e-2, 1e-9
 #: A residual errs by at least as much, where there are priors: what is exact outweighs them.
 LEAST_NOISE = 1e-3
 #: The six numbers of an object's pose, as they are reported.
@@ -61,6 +58,27 @@ class LevelEnd(NamedTuple):
     steps: int
 
 
+class Descent(NamedTuple):
+    """A state, the views there, the squares (infinite where they are none), the last steps, and
+    whether they ended by themselves; the way there from the start (0 steps)."""
+
+    state: State
+    seen: list[ViewRows]
+    squares: float
+    steps: int
+    ended: bool
+    way: tuple[LevelEnd, ...]
+
+    @property
+    def taken(self) -> tuple[int, ...]:
+        """The number of steps on each level."""
+        return tuple(end.steps for end in self.way[1:])
+
+    def then(self, further: "Descent") -> "Descent":
+        """A further descent, with the steps of both."""
+        return further._replace(way=self.way + further.way[1:])
+
+
 class Part(NamedTuple):
     """An unknown as it is reported: a pose as that of a camera fixed to it at `rig`, or of an
     object (None); film coordinates by the film's height `H` (px)."""
@@ -79,27 +97,18 @@ class Part(NamedTuple):
         return OF_OBJECT if is_object else labels_of((self.kind,))
 
 
-class Estimates(NamedTuple):
-    """Reported numbers (p,): their `labels`, and their derivative (p, q) by the unknowns at a
-    `place` (q,)."""
-
-    labels: tuple[str, ...]
-    place: np.ndarray
-    by_unknowns: np.ndarray
-
-
 class JointPrior(NamedTuple):
-    """Means and standard deviations (k,) of numbers, by their labels, that report one unknown."""
+    """The mean and standard deviation of a number that reports an unknown, by its label."""
 
     part: Part
-    labels: tuple[str, ...]
-    mean: np.ndarray
-    std: np.ndarray
+    label: str
+    mean: float
+    std: float
 
 
 @dataclass(frozen=True, eq=False)
 class JointProblem:
-    """Unknowns and views, and where they begin, as `LeastSquares` on one level.
+    """Unknowns and views, and where they begin, as least squares on one level.
 
     - `unknowns`, `eyes` (the views), `priors`, and those of `zeros` of joints, sought at last.
     - `start`: where unknowns begin; `cameras`: those that were given.
@@ -244,16 +253,17 @@ class JointProblem:
         by_unknown = rows / np.asarray(view.scale, float)[place]
         return H * np.array(values), H * by_unknown
 
-    def estimates(self, parts: Sequence[Part], state: State, seen: list[ViewRows]) -> Estimates:
-        """The numbers by which unknowns are reported."""
+    def reports(
+        self, parts: Sequence[Part], state: State, seen: list[ViewRows]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The derivative (p, q) of the numbers by which unknowns are reported, by unknowns at a
+        place (q,), and this."""
         from scipy.linalg import block_diag
 
-        if not parts:
-            return Estimates((), np.zeros(0, int), np.zeros((0, 0)))
-        labels = tuple(label for part in parts for label in part.labels)
+        each = (self.report(part, state, seen)[1] for part in parts)
+        by_unknowns: Any = block_diag(np.zeros((0, 0)), *each)
         places = [self._places[part.name, part.kind] for part in parts]
-        by_unknowns: Any = block_diag(*(self.report(part, state, seen)[1] for part in parts))
-        return Estimates(labels, np.concatenate(places), by_unknowns)
+        return by_unknowns, np.concatenate([np.zeros(0, int), *places])
 
     # --- other problems --------------------------------------------------------------------------
 
@@ -298,13 +308,37 @@ class JointProblem:
     # --- least squares ---------------------------------------------------------------------------
 
     def descend(self, state: State, most: int, px: float) -> Descent:
-        """The state after at most this many steps; those below `px` are negligible."""
-        return levenberg_marquardt(self, state, most, px)
+        """The end of at most this many steps of Levenberg-Marquardt; those below `px` are
+        negligible."""
+        way, seen, size = (LevelEnd(state, self.depth, 0),), self.look(state), np.zeros(self.size)
+        squares, damping, steps, ended = np.inf, FIRST_DAMPING, 0, False
+        while steps < most and not ended:
+            steps += 1
+            noise = self.noise(seen)
+            squares, parts = self.squares(state, seen, noise), self.parts(state, seen, noise)
+            if not all(np.all(np.isfinite(p.rows)) and np.all(np.isfinite(p.left)) for p in parts):
+                break
+            outward = self.ways_out(state, seen) * slope_of(parts, self.size) < 0
+            parts = [part.without(outward) for part in parts]
+            size = np.maximum(size, self.sizes(seen, parts))
+            x = solve(parts, self.size, damping**0.5 * size).x
+            moved = self.moved(seen, x)
+            change = sum(float(np.sum((p.rows @ x[p.columns]) ** 2)) for p in parts)
+            trial = self.stepped(state, x)
+            there = self.look(trial)
+            if (after := self.squares(trial, there, noise)) <= squares:
+                state, seen, squares = trial, there, after
+                damping = max(damping / 10, LEAST_DAMPING)
+            else:
+                damping *= 10
+            ended = moved < px / UNIT_PX or change <= COSINE[self.dtype] ** 2 * squares
+        way = (*way, LevelEnd(state, self.depth, steps))
+        return Descent(state, seen, squares, steps, ended, way)
 
     def stay(self, state: State) -> Descent:
         """A descent of no steps."""
-        seen = self.look(state)
-        return Descent(state, seen, self.squares(state, seen, self.noise(seen)), 0, True)
+        seen, way = self.look(state), (LevelEnd(state, self.depth, 0),)
+        return Descent(state, seen, self.squares(state, seen, self.noise(seen)), 0, True, way)
 
     def look(self, state: State) -> list[ViewRows]:
         """All views at a state."""
@@ -333,9 +367,11 @@ class JointProblem:
         return max(self.design * squares / max(touched, 1.0), LEAST_NOISE**2) ** 0.5
 
     def squares(self, state: State, seen: list[ViewRows], noise: float) -> float:
-        """The sum of the squares of all residuals, those of priors among them."""
+        """The sum of the squares of all residuals, those of priors among them; infinite where it is
+        none."""
         views = sum(w * s.view.squares for w, s in zip(self.weights, seen, strict=True))
-        return float(views + sum(p.squares for p in self.prior_rows(state, seen, noise)))
+        total = float(views + sum(p.squares for p in self.prior_rows(state, seen, noise)))
+        return total if np.isfinite(total) else np.inf
 
     def parts(self, state: State, seen: list[ViewRows], noise: float) -> list[Rows]:
         """Rows of the views, and of priors."""
@@ -350,10 +386,10 @@ class JointProblem:
     def prior_rows(self, state: State, seen: list[ViewRows], noise: float) -> list[Rows]:
         """Rows of priors, which err by a residual's noise."""
         result = []
-        for part, labels, mean, std in self.priors:
+        for part, label, mean, std in self.priors:
             values, by_unknown = self.report(part, state, seen)
-            which, place = [part.labels.index(x) for x in labels], self._places[part[:2]]
-            rows, left = by_unknown[which] / std[:, None], (values[which] - mean) / std
+            which, place = [part.labels.index(label)], self._places[part[:2]]
+            rows, left = by_unknown[which] / std, (values[which] - mean) / std
             result.append(Rows(rows, left, place, self._own[place]).times(noise))
         return result
 
@@ -366,13 +402,10 @@ class JointProblem:
         """The way in which numbers (size,) would leave their bounds: 1 or -1 at an end, else 0."""
         result = np.zeros(self.size)
         for eye in self.eyes:
-            for label in eye.ended(state):
-                part, bounds = Part(eye.owners[label], label), eye.solver.bounds
-                if (place := self.place(part.name, label)) is not None and bounds is not None:
-                    k = bounds.labels.index(label)
-                    (value,), (by_unknown,) = self.report(part, state, seen)
-                    above = value - (bounds.low[k] + bounds.high[k]) / 2
-                    result[place] = np.sign(by_unknown * float(above))
+            for label, side in eye.ended(state).items():
+                part = Part(eye.owners[label], label)
+                if (place := self.place(part.name, label)) is not None:
+                    result[place] = side * np.sign(self.report(part, state, seen)[1][0])
         return result
 
     def stepped(self, state: State, x: np.ndarray) -> State:
@@ -391,7 +424,10 @@ class JointProblem:
                 zeros[name] = zeros.get(name, 0.0) + float(part[0])
             else:
                 eye = self.eyes[self._seen_by[name, kind]]
-                lens = with_step(lenses[eye.shot.camera], kind, part, eye.solver.bounds)
+                begin = lenses[eye.shot.camera]
+                y = jnp.asarray(part, begin.e.dtype)
+                origin = Move(begin, begin.e, jnp.ones_like(y), eye.solver.bounds)
+                lens = moved(origin, y, (kind,))
                 for camera in cameras:
                     lenses[camera] = with_parameter(lenses[camera], kind, lens)
         return State(poses, lenses, scales, zeros)

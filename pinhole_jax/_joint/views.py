@@ -12,28 +12,25 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from .._camera.camera import Camera
 from .._camera.poses import Pose, adjoint, at_pose, inverse, pose_of, rigid
+from .._fit.implicit import MOTIONS, SCALE, number_of
 from .._mask.edges import Weights
 from .._mask.mask import Mask
 from .._numerics.arrays import ArrayLike, Input
 from .._scene.assembly import Posture
 from .._scene.scene import Scene
 from .._solver.looks import View
-from .._solver.moves import Bounds
 from .._solver.parameters import PARAMETERS, components
 from .._solver.solver import Solver
 
-#: What an unknown may be, beside a parameter of a camera's lens: a pose, the scale of the scene,
+#: What an unknown may be, beside a parameter of a camera and the scale of the scene: a whole pose,
 #: or the zero of a joint.
-POSE, SCALE, ZERO = "pose", "scale", "zero"
+POSE, ZERO = "pose", "zero"
 #: The numbers of a rigid motion: a small rotation (rad), a shift (world units).
 TWIST = 6
-#: The parts of these that each motion has.
-MOTIONS = {POSE: slice(0, TWIST), "orientation": slice(0, 3), "position": slice(3, TWIST)}
 #: A twist's numbers by the camera's own axes, as reported parameters have them: b1, b2, v are x,
 #: -y and z of the camera's frame.
 TO_B = np.diag([1.0, -1.0, 1.0])
@@ -99,7 +96,7 @@ class Unknown(NamedTuple):
     @property
     def size(self) -> int:
         """How many numbers it has."""
-        return len(components((self.kind,))) if self.kind in PARAMETERS else 1
+        return number_of(self.kind)
 
 
 class Standpoint(NamedTuple):
@@ -151,11 +148,9 @@ class Eye:
         solver, camera = self.standpoint(state)
         return solver.look(camera, solver.finest)
 
-    def weighed(
-        self, weights: Weights, target: np.ndarray | None = None, only_finest: bool = False
-    ) -> "Eye":
-        """The eye with other weights of pixels, as `Solver.weighed` has it."""
-        return replace(self, solver=self.solver.weighed(weights, target, only_finest))
+    def weighed(self, weights: Weights) -> "Eye":
+        """The eye with other weights of pixels, on the finest level alone."""
+        return replace(self, solver=self.solver.weighed(weights, only_finest=True))
 
     def offsets(self, state: State) -> np.ndarray:
         """Offsets of the joints' readings (J,)."""
@@ -216,10 +211,10 @@ class Eye:
         if self.shot.posture is not None:
             yield from ((joint, ZERO) for joint in self.shot.posture.joints)
 
-    def ended(self, state: State) -> tuple[str, ...]:
-        """The camera's parameters that are at an end of their bounds."""
+    def ended(self, state: State) -> dict[str, float]:
+        """The camera's parameters that are at an end of their bounds, as `Bounds.ended`."""
         bounds = self.solver.bounds
-        return () if bounds is None else bounds.ended(state.lenses[self.shot.camera])
+        return {} if bounds is None else bounds.ended(state.lenses[self.shot.camera])
 
     def level(self, depth: int) -> int:
         """The number of the level this far from the last, or of the first."""
@@ -250,12 +245,3 @@ def with_parameter(camera: Camera, kind: str, other: Camera) -> Camera:
     for leaf in PARAMETERS[kind].leaves:
         camera = eqx.tree_at(leaf.of, camera, leaf.of(other))
     return camera
-
-
-def with_step(camera: Camera, kind: str, step: np.ndarray, bounds: Bounds | None) -> Camera:
-    """The camera (canonical) with a step of a parameter of its lens, within its bounds."""
-    moved = camera
-    for leaf in PARAMETERS[kind].leaves:
-        value = jnp.asarray(leaf.of(moved))
-        moved = eqx.tree_at(leaf.of, moved, leaf.moved(value, jnp.asarray(step, value.dtype)))
-    return moved if bounds is None else bounds.into(camera, moved)

@@ -27,11 +27,9 @@ def with_joints(
     from scipy.linalg import block_diag
 
     pixels, jacobian = view.pixels, view.jacobian
-    used = np.flatnonzero(pixels.weight > 0)
-    row, column = np.divmod(pixels.cell[used], int(view.level.W) + 2)
-    changes = _changes_by_joints(eye, state, view.level, joints)[:, row, column - 1]
-    by_joint = np.zeros((len(jacobian), len(joints)))
-    by_joint[used] = (pixels.weight[used] ** 0.5 * changes).T
+    row, column = np.divmod(pixels.cell, int(view.level.W) + 2)
+    changes = np.pad(_changes_by_joints(eye, state, view.level, joints), ((0, 0), (0, 0), (1, 1)))
+    by_joint = (pixels.weight**0.5 * changes[:, row, column]).T
 
     # (In units in which a joint shows as much as a move of the camera does.)
     size = np.linalg.norm(by_joint, axis=0)
@@ -39,7 +37,7 @@ def with_joints(
     scale = np.where(size > 1e-9 * usual, usual / np.maximum(size, 1e-300), 1.0)
     together = np.concatenate([jacobian, by_joint * scale], axis=1)
     n = together.shape[1]
-    table = np.column_stack([together[used], pixels.residual[used]])
+    table = np.column_stack([together, pixels.residual])
     r: Any = np.linalg.qr(np.concatenate([table, np.zeros((n, n + 1))]), mode="r")
     if not np.all(np.isfinite(np.asarray(view.triangle))):
         r = np.full(r.shape, np.nan)

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from .._joint.levels import REACHES
+from .._joint.system import Descent
 from .._joint.views import State
-from .._solver.least_squares import Descent
 from .._solver.problem import FINE_PX
 from .noise import Noise
 from .reprojection import PointProblem, rms_limit, squares_of
@@ -82,11 +82,11 @@ def _descend_together(
 ) -> tuple[PointProblem, Descent]:
     """The problem, and where the squares of all are least."""
     px, steps, spare = FINE_PX[problem.dtype], 0, problem.left_over
-    both = spare + sum(len(prior.labels) for prior in problem.priors)
+    both = spare + len(problem.priors)
     known = None if variance is None else Noise(variance, np.inf)
     if known is None and spare <= 0 < both:
         # Where priors hold what is free, points leave no less than they err by.
-        widest = max(float(np.max(prior.std)) / prior.part.H for prior in problem.priors)
+        widest = max(prior.std / prior.part.H for prior in problem.priors)
         firm = Noise((HOLDS * float(problem.matches[0].H) * widest) ** 2, np.inf)
         held = replace(problem, known=firm).descend(state, problem.max_steps, px)
         known = Noise(squares_of(held.seen) / both, both)

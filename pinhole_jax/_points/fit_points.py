@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, replace
+from functools import partial
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
@@ -22,18 +23,18 @@ from .._fit.result import (
     with_modes,
     without_ended,
 )
-from .._joint.door import owners_of, with_unknowns
-from .._joint.knowledge import bounds_by_name, priors_of
+from .._joint.door import bounds_by_name, owners_of, priors_of, with_unknowns
+from .._joint.system import Descent
 from .._joint.views import JointView, State
 from .._numerics.arrays import ArrayLike, Input, checked, is_concrete
 from .._numerics.pointwise import room
 from .._rules import RULES
 from .._scene.scene import Scene
-from .._solver.least_squares import Descent, LinearSolution, slope_of, solve
+from .._solver.least_squares import LinearSolution, slope_of, solve
 from .._solver.moves import canonical, on_film
 from .._solver.parameters import components, labels_of
 from .._solver.priors import Pair
-from .._solver.uncertainty import BLIND, covariance, weak_directions
+from .._solver.uncertainty import BLIND, covariance, moves_in_words, weak_directions
 from .descent import PointDescent, descend
 from .noise import FEW, Noise, beyond_noise
 from .reprojection import Matches, PointArrays, PointEye, PointProblem, bend_and_pull
@@ -372,8 +373,9 @@ def _report(
     # (As NumPy's: within `grad` JAX's would be traced, and no report could look at them.)
     along = np.linalg.lstsq(triangle.T, slope[place] * scale, rcond=None)[0]
     triangle, ended = without_ended(triangle, at, freed, matches.bounds)
-    unseen, weak = weak_directions(triangle, components(freed), axes_of(camera), blind)
-    spread = reported / scale @ known.by_shared(place) @ beyond
+    in_words = partial(moves_in_words, components(freed), axes_of(camera))
+    unseen, weak = weak_directions(triangle, in_words, blind)
+    spread = reported / scale @ known.follows[place] @ beyond
     cov = covariance(triangle, reported, triangle.T @ triangle, blind) + spread @ spread.T
     # (Where nothing shows how points err, nothing is known.)
     is_known = np.isfinite(noise.variance)

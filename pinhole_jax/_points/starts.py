@@ -8,9 +8,9 @@ import numpy as np
 
 from .._camera.axes import angle, axes_of, distinct
 from .._camera.camera import Camera
+from .._joint.system import Descent
 from .._joint.views import POSE, State
 from .._rules import RULES
-from .._solver.least_squares import Descent
 from .._solver.problem import FINE_PX
 from .._solver.uncertainty import BLIND
 from .noise import Noise

@@ -1,4 +1,4 @@
-"""One Levenberg-Marquardt for views and points: least squares whose residuals come in parts.
+"""Least squares whose residuals come in parts, of views or of points.
 
 Each part depends on few of the unknowns. What few parts depend on is eliminated there: those of one
 camera, or of one object, that have with the others only a lens in common, say. So the cost is
@@ -6,14 +6,9 @@ linear in the parts, and no matrix over all of them is ever made (nor normal equ
 lose half of the digits).
 """
 
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple
 
 import numpy as np
-
-from .problem import COSINE, UNIT_PX
-
-#: Damping of the first step, in squares of `sizes`, and what it is at least.
-FIRST_DAMPING, LEAST_DAMPING = 1e-2, 1e-9
 
 
 class Rows(NamedTuple):
@@ -37,71 +32,6 @@ class Rows(NamedTuple):
     def times(self, factor: float) -> "Rows":
         """Return them, each times a factor."""
         return self._replace(rows=factor * self.rows, left=factor * self.left)
-
-
-@runtime_checkable
-class LeastSquares(Protocol):
-    """A problem of unknowns (size,), whose values are some `state`.
-
-    - `look`: what is seen at a state; all else is asked with that.
-    - `noise`: what the parts are weighed by at a step.
-    - `squares`, `parts`: the residuals' sum of squares, and their derivatives.
-    - `sizes` (size,): what a step is measured by, as damping has it: larger, where it may be less.
-    - `ways_out` (size,): 1 or -1 for what is at an end of its bounds, which way these are left.
-    - `stepped`: the state after a step; `moved`: how far that is, in units of `UNIT_PX`.
-    """
-
-    @property
-    def size(self) -> int: ...
-    @property
-    def dtype(self) -> np.dtype: ...
-    def look(self, state: Any) -> Any: ...
-    def noise(self, seen: Any) -> float: ...
-    def squares(self, state: Any, seen: Any, noise: float) -> float: ...
-    def parts(self, state: Any, seen: Any, noise: float) -> list[Rows]: ...
-    def sizes(self, seen: Any, parts: list[Rows]) -> np.ndarray: ...
-    def ways_out(self, state: Any, seen: Any) -> np.ndarray: ...
-    def stepped(self, state: Any, x: np.ndarray) -> Any: ...
-    def moved(self, seen: Any, x: np.ndarray) -> float: ...
-
-
-class Descent(NamedTuple):
-    """A state, what is seen there, the squares, steps, and whether they ended by themselves."""
-
-    state: Any
-    seen: Any
-    squares: float
-    steps: int
-    ended: bool
-
-
-def levenberg_marquardt(problem: LeastSquares, state: Any, most: int, px: float) -> Descent:
-    """Return the state after at most this many steps; below this many `px` one is negligible."""
-    seen, damping, size = problem.look(state), FIRST_DAMPING, np.zeros(problem.size)
-    squares = np.inf
-    for n in range(1, most + 1):
-        noise = problem.noise(seen)
-        squares = problem.squares(state, seen, noise)
-        parts = problem.parts(state, seen, noise)
-        if not all(np.all(np.isfinite(p.rows)) and np.all(np.isfinite(p.left)) for p in parts):
-            return Descent(state, seen, squares, n, False)
-        outward = problem.ways_out(state, seen) * slope_of(parts, problem.size) < 0
-        parts = [part.without(outward) for part in parts]
-        size = np.maximum(size, problem.sizes(seen, parts))
-        x = solve(parts, problem.size, damping**0.5 * size).x
-        moved = problem.moved(seen, x)
-        change = sum(float(np.sum((p.rows @ x[p.columns]) ** 2)) for p in parts)
-        trial = problem.stepped(state, x)
-        there = problem.look(trial)
-        after = problem.squares(trial, there, noise)
-        if after <= squares:
-            state, seen, squares = trial, there, after
-            damping = max(damping / 10, LEAST_DAMPING)
-        else:
-            damping *= 10
-        if moved < px / UNIT_PX or change <= COSINE[problem.dtype] ** 2 * squares:
-            return Descent(state, seen, squares, n, True)
-    return Descent(state, seen, squares, most, False)
 
 
 def slope_of(parts: list[Rows], size: int) -> np.ndarray:
@@ -152,13 +82,18 @@ def _together(of: list[list[int]], size: int) -> np.ndarray:
 
 
 class LinearSolution(NamedTuple):
-    """The least squares' x, and what determines it: the shared unknowns' triangle, of each block of
-    views the unknowns that are its own, their triangle, and what the shared ones do to these; of
-    each unknown the number of the block that owns it, -1 of shared ones."""
+    """The least squares' x (size,), and what determines it.
+
+    - `shared` (s,): the unknowns that no block owns, and their `triangle`.
+    - `follows` (size, s): the derivative of all unknowns by these.
+    - `own`: the unknowns of each block of views, their triangle, and its inverse.
+    - `owner` (size,): the number of the block that owns an unknown, -1 of shared ones.
+    """
 
     x: np.ndarray
     shared: np.ndarray
     triangle: np.ndarray
+    follows: np.ndarray
     own: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]]
     owner: np.ndarray
 
@@ -166,40 +101,21 @@ class LinearSolution(NamedTuple):
         """A root of the inverse of the normal matrix between unknowns (p,): it, times its
         transpose, is that, but for what other blocks than this (None: theirs) alone determine."""
         block = int(np.max(self.owner[place], initial=-1)) if block is None else block
-        result = self.by_shared(place) @ np.linalg.pinv(self.triangle)
+        result = self.follows[place] @ np.linalg.pinv(self.triangle)
         if block < 0:
             return result
-        own, triangle, _ = self.own[block]
-        at = np.flatnonzero(self.owner[place] == block)
-        alone = np.zeros((len(place), len(own)))
-        alone[at] = np.linalg.pinv(triangle)[np.searchsorted(own, place[at])]
-        return np.hstack([result, alone])
+        own, _, back = self.own[block]
+        return np.hstack([result, (place[:, None] == own) @ back])
 
     def unseen(self, blind: float) -> np.ndarray:
         """Return directions (size, d) of the unknowns that change residuals by less than a share
         `blind` of the best-seen direction's change."""
-        size, everything = len(self.x), np.arange(len(self.x))
-        directions = []
-        hidden = _null(self.triangle, blind).T
-        if len(hidden):
-            directions += [*(self.by_shared(everything) @ hidden.T).T]
+        directions = [self.follows @ _null(self.triangle, blind)]
         for own, triangle, _ in self.own.values():
-            for k in _null(triangle, blind).T:
-                direction = np.zeros(size)
-                direction[own] = k
-                directions.append(direction)
-        return np.array(directions).reshape(-1, size).T
-
-    def by_shared(self, place: np.ndarray) -> np.ndarray:
-        """The derivative of the unknowns by the shared ones (p, s)."""
-        result = np.zeros((len(place), len(self.shared)))
-        held = np.flatnonzero(self.owner[place] < 0)
-        result[held, np.searchsorted(self.shared, place[held])] = 1
-        for block in self.owners(place):
-            at = np.flatnonzero(self.owner[place] == block)
-            own, triangle, across = self.own[block]
-            result[at] = -(np.linalg.pinv(triangle) @ across)[np.searchsorted(own, place[at])]
-        return result
+            hidden = _null(triangle, blind)
+            directions.append(np.zeros((len(self.x), hidden.shape[1])))
+            directions[-1][own] = hidden
+        return np.hstack(directions)
 
     def owners(self, place: np.ndarray) -> list[int]:
         """Return the blocks that own some of these unknowns."""
@@ -225,7 +141,8 @@ def solve(parts: list[Rows], size: int, damping: np.ndarray) -> LinearSolution:
     for k, part in enumerate(parts):
         block = int(owner[part.columns[part.own][0]]) if np.any(part.own) else -2 - k
         blocks.setdefault(block, []).append(part)
-    x, owns, left = np.zeros(size), {}, {}
+    x, owns, follows = np.zeros(size), {}, np.zeros((size, len(shared)))
+    follows[shared] = np.eye(len(shared))
     reduced = [np.column_stack([np.diag(damping[shared]), 0 * shared])]
     for block, some in blocks.items():
         own = np.flatnonzero(owner == block)
@@ -233,12 +150,12 @@ def solve(parts: list[Rows], size: int, damping: np.ndarray) -> LinearSolution:
         m = len(own)
         reduced.append(r[m:, m:])
         if m:
-            owns[block], left[block] = (own, r[:m, :m], r[:m, m:-1]), r[:m, -1]
+            owns[block] = own, r[:m, :m], np.linalg.pinv(r[:m, :m])
+            solved = -owns[block][2] @ r[:m, m:]
+            follows[own], x[own] = solved[:, :-1], solved[:, -1]
     r: Any = np.linalg.qr(np.concatenate(reduced), mode="r")[: len(shared)]
-    x[shared] = -np.linalg.pinv(r[:, :-1]) @ r[:, -1]
-    for block, (own, triangle, across) in owns.items():
-        x[own] = -np.linalg.pinv(triangle) @ (left[block] + across @ x[shared])
-    return LinearSolution(x, shared, r[:, :-1], owns, owner)
+    x += follows @ (-np.linalg.pinv(r[:, :-1]) @ r[:, -1])
+    return LinearSolution(x, shared, r[:, :-1], follows, owns, owner)
 
 
 def _eliminated(

@@ -47,12 +47,17 @@ class Bounds(eqx.Module):
         values = middle + half * jnp.sin(jnp.arcsin(at) + (after - before) / half)
         return eqx.tree_at(self._leaves, moved, [*values])
 
-    def ended(self, camera: Camera) -> tuple[str, ...]:
-        """Return which parameters are at an end of theirs, to 1e-4 of the way between."""
+    def ended(self, camera: Camera) -> dict[str, float]:
+        """Return which parameters are at an end of theirs, to 1e-4 of the way between: -1 at the
+        low one, 1 at the high one."""
         values = np.array(self._leaves(camera))
         low, high = np.asarray(self.low), np.asarray(self.high)
-        near = np.minimum(values - low, high - values) < 1e-4 * (high - low)
-        return tuple(label for label, there in zip(self.labels, near, strict=True) if there)
+        way = (2 * values - high - low) / (high - low)
+        return {
+            label: float(np.sign(x))
+            for label, x in zip(self.labels, way, strict=True)
+            if abs(x) > 1 - 2e-4
+        }
 
     def _leaves(self, camera: Any) -> list[Any]:
         # What may have bounds is one number, whose label is its name.

@@ -52,8 +52,7 @@ def prior_of(prior: Mapping[str, Any] | None, base: Camera, freed: tuple[str, ..
         return None
     labels = labels_of(freed)
     known = [label for label in labels if LABELS[label].value is not None]
-    mean, std = pairs("prior", prior, known, "(mean, standard deviation)")
-    check_positive(prior, std)
+    mean, std = measured(prior, known)
     place = [labels.index(label) for label in prior]
     unit = np.array([base.H if LABELS[label].unit == "px" else 1 for label in prior])
     size, at = np.zeros((2, len(labels)))
@@ -76,11 +75,14 @@ def bounds_of(
     return Bounds(tuple(bounds), *(jnp.asarray(x, base.e.dtype) for x in (low, high)))
 
 
-def check_positive(given: Mapping[str, Any], std: np.ndarray) -> None:
-    """Raise ValueError unless the standard deviations of a prior are positive."""
-    for label, value in zip(given, std, strict=True):
+def measured(prior: Any, known: list[str]) -> np.ndarray:
+    """The means and standard deviations (2, k) of a prior on parameters that are `known`, or raise
+    ValueError."""
+    result = pairs("prior", prior, known, "(mean, standard deviation)")
+    for label, value in zip(prior, result[1], strict=True):
         if not value > 0:
             raise ValueError(f"`prior`: expected a positive deviation of {label!r}, got {value}")
+    return result
 
 
 def pairs(name: str, given: Any, known: list[str], words: str) -> np.ndarray:
@@ -96,4 +98,4 @@ def pairs(name: str, given: Any, known: list[str], words: str) -> np.ndarray:
             )
         if np.shape(pair) != (2,) or not np.all(np.isfinite(np.asarray(pair, float))):
             raise ValueError(f"`{name}`: expected {words} of {label!r}, got {pair!r}")
-    return np.array([*given.values()], float).T
+    return np.array([*given.values()], float).reshape(-1, 2).T

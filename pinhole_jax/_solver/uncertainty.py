@@ -1,7 +1,7 @@
 """What a fit knows: covariance, and the directions in which the image does not change, as
 sentences."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -13,6 +13,8 @@ from .parameters import COMPONENTS
 BLIND = {np.dtype(np.float32): 1e-5, np.dtype(np.float64): 1e-9}
 #: ... under this one as so little that a turn by it gives no other view ...
 UNSEEN = 1e-3
+#: A parameter's part in a direction is named if it is larger.
+CHIEF = 0.35
 
 
 def covariance(
@@ -43,25 +45,20 @@ def shown(triangle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def weak_directions(
     triangle: np.ndarray,
-    components: list[str],
-    axes: np.ndarray,
+    words: Callable[[np.ndarray], list[str]],
     blind: float,
     named: Sequence[np.ndarray] = (),
 ) -> tuple[bool, tuple[str, ...]]:
     """True if a direction is not seen at all, and each weak direction as a sentence, but for
-    those that are `named` already.
-
-    `components` names the moves (in pixels), `axes` (3, 3) are the camera's in world coordinates.
-    """
+    those that are `named` already. `words` has phrases for the chief parts of a direction."""
     _, values, directions = np.linalg.svd(triangle)
-    top = max(values[0], np.finfo(values.dtype).tiny)
-    share = values / top
-    words = tuple(
-        sentence(_words(direction, components, axes), s, s <= blind)
+    share = values / max(values[0], np.finfo(values.dtype).tiny)
+    sentences = tuple(
+        sentence(words(direction), s, bool(s <= blind))
         for s, direction in zip(share[::-1], directions[::-1], strict=True)
         if s < RULES.weak and all(abs(direction @ m) < 0.7 * np.linalg.norm(m) for m in named)
     )
-    return bool(share[-1] <= blind), words
+    return bool(share[-1] <= blind), sentences
 
 
 def weak_moves(
@@ -92,21 +89,27 @@ def sentence(moves: list[str], share: float, hidden: bool) -> str:
     return f"{' and '.join(moves)} {what} ({share:.1%} as visible as the best-seen move)"
 
 
-def _words(direction: np.ndarray, components: list[str], axes: np.ndarray) -> list[str]:
-    """Phrases for the chief parts of a direction of moves: their effects on the camera."""
-    groups: dict[str, list[int]] = {}  # the parts of a vector share their words
-    for k, name in enumerate(components):
-        groups.setdefault(COMPONENTS[name].words, []).append(k)
-
-    weight = {words: float(np.linalg.norm(direction[group])) for words, group in groups.items()}
-    chief = [words for words in sorted(weight, key=lambda w: -weight[w]) if weight[words] > 0.35]
+def moves_in_words(components: Sequence[str], axes: np.ndarray, direction: np.ndarray) -> list[str]:
+    """Phrases for the chief parts of a direction of moves (in pixels) of these names: their effects
+    on a camera of these axes (3, 3), in the world."""
+    words = [COMPONENTS[name].words for name in components]
     named = []
-    for words in chief:
-        group = groups[words]
+    for chief in chief_words(words, direction):
+        group = [k for k, word in enumerate(words) if word == chief]
         if COMPONENTS[components[group[0]]].is_turn:
-            words += " about the axis " + in_words(direction[group] @ axes)
-        named.append(words)
+            chief += " about the axis " + in_words(direction[group] @ axes)
+        named.append(chief)
     return named or ["a mixture of all parameters"]
+
+
+def chief_words(words: Sequence[str], direction: np.ndarray) -> list[str]:
+    """Those of the words of each number (n,) that have the chief parts of a direction, the largest
+    first; the parts of a vector share their words."""
+    size = {
+        chief: float(np.linalg.norm(direction[[word == chief for word in words]]))
+        for chief in dict.fromkeys(words)
+    }
+    return sorted((word for word in size if size[word] > CHIEF), key=lambda word: -size[word])
 
 
 def in_words(vector: np.ndarray) -> str:
