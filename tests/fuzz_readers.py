@@ -110,8 +110,7 @@ def targets(folder: Path) -> dict[str, Target]:
     kinds = [kind for kind in MESHES if kind != "dae" or find_spec("collada")]
     load_mesh = lambda path: pj.load_mesh(path, say=str)  # coarse steps are no error
     found = {kind: Target(f"mesh.{kind}", load_mesh, [*meshes(kind)]) for kind in kinds}
-    if find_spec("yourdfpy"):
-        found["urdf"] = Target("robot.urdf", pj.robots.load_urdf, [URDF])
+    found["urdf"] = Target("robot.urdf", pj.robots.load_urdf, [URDF])
     files = {"json": "camera.json", "opencv": "camera.yaml", "nerf": "transforms.json",
              "blender": "blender.json", "gltf": "camera.gltf", "pytorch3d": "pytorch3d.json",
              "mitsuba": "camera.xml", "colmap": "text", "colmap-binary": "binary"}  # fmt: skip

@@ -137,7 +137,7 @@ XML_CASES = {
     "<!DOCTYPE a [<!ENTITY b 'c'>]><opencv_storage/>": "`path`: expected XML, .* a DOCTYPE",
     XML.format(""): "`camera_matrix`: expected .* no such field",
     XML.format("<image_width>1</image_width>"): "expected XML, .*: the field 'image_width' twice",
-    XML.format("<a>" * 99 + "</a>" * 99): "`path`: expected XML of at most 64 levels",
+    XML.format("<a>" * 99 + "</a>" * 99): "`path`: expected XML, got .*: more than 64 levels",
     XML.format("<camera_matrix>1 2"): "`path`: expected XML",
 }
 

@@ -17,8 +17,6 @@ import pinhole_jax as pj
 from pinhole_jax import __main__ as command, shapes
 from pinhole_jax._camera.poses import inverse, pose_of
 
-pytest.importorskip("yourdfpy", reason="no yourdfpy here: robots are not tried")
-
 URDF = """<robot name="two">
   <link name="base"><visual><geometry><box size="0.5 0.5 0.2"/></geometry></visual></link>
   <link name="arm"><visual><origin xyz="0 0 0.5"/><geometry><mesh filename="arm.stl" scale="2 2 2"/>

@@ -68,7 +68,6 @@ NEAR = at_pose(
 @pytest.fixture(scope="module")
 def misread(tmp_path_factory):
     """Views of five postures of a robot whose joints' zeros are off."""
-    pytest.importorskip("yourdfpy", reason="no yourdfpy here: URDFs are not tried")
     folder, body = tmp_path_factory.mktemp("three"), shapes.bumpy(2)
     half = trimesh.Trimesh(0.5 * np.asarray(body.vertices), body.faces, process=False)
     half.export(folder / "body.stl")

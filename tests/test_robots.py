@@ -13,8 +13,6 @@ from refusals import refusal
 import pinhole_jax as pj
 from pinhole_jax._command.joints import joint_angles
 
-pytest.importorskip("yourdfpy", reason="no yourdfpy here: URDFs are not tried")
-
 CORNERS = np.array(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij")).reshape(3, 8).T
 #: A cube's faces, seen from outside.
 QUADS = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
@@ -285,6 +283,29 @@ def test_joints_that_follow_others_and_long_axes(tmp_path, joints, expected):
     assert_allclose(robot.poses([0.3])["d"][:2, 3], expected)
 
 
+def test_poses_are_those_of_another_program(tmp_path):
+    yourdfpy = pytest.importorskip("yourdfpy", reason="no yourdfpy here: poses are not compared")
+    kinds, random = ("revolute", "prismatic", "continuous", "fixed"), np.random.default_rng(4)
+    words = lambda numbers: " ".join(map(str, numbers))
+    body = "".join(f'<link name="{k}"/>' for k in range(8)) + link("seen", BOX)
+    for k, kind in enumerate(2 * kinds):
+        xyz, rpy, axis = random.normal(size=(3, 3))
+        axis = words(axis / np.linalg.norm(axis))
+        body += (
+            joint(f"j{k}", k // 2, "seen" if k == 7 else k + 1, "", kind, axis)
+            .replace('xyz="0 1 0"', f'xyz="{words(xyz)}" rpy="{words(rpy)}"')
+            .replace(
+                "</joint>", f'{mimic("j1") * (k == 4)}<limit effort="1" velocity="1"/></joint>'
+            )
+        )
+    robot, angles = robot_of(tmp_path, body), random.normal(size=5)
+    theirs = yourdfpy.URDF.load(str(tmp_path / "a.urdf"), load_meshes=False)
+    theirs.update_cfg(angles)
+    for name, pose in robot.poses(angles).items():
+        assert_allclose(pose, theirs.get_transform(name), atol=1e-12)
+    assert len(robot.poses(angles)) == 9
+
+
 SHUT = joint("j3", "c", "d", kind="fixed")
 
 
@@ -297,24 +318,28 @@ SHAPE = "link 'l': expected one shape .* got"
 #: What a robot has, by the error.
 REFUSED = {
     "joint 'j2' is floating.*fixed": second(kind="floating"),
-    "joint 'j2': expected revolute, .* got 'ball'": second(kind="ball"),
+    "`type`: expected one of revolute, .* got 'ball' .in joint 'j2'": second(kind="ball"),
     "'j2' follows 'j9', which does not exist": second(mimic("j9")),
     "'j2' follows 'j3', which is fixed": second(mimic("j3")),
     "joints j2 follow each other": second(mimic("j2")),
     "joints j2, j3 follow each other": chain(
         FREE, joint("j2", "b", "c", mimic("j3")), joint("j3", "c", "d", mimic("j2"))
     ),
-    "joint 'j2': expected an axis, got one of length 0": second(axis="0 0 0"),
-    "'j2': expected 3 finite numbers in xyz of <axis>, got '1 0'": second(axis="1 0"),
-    "'j2': expected 1 finite number in offset of <mimic>, got 'x'": second(
+    "`xyz`: expected an axis, got one of length 0 .in joint 'j2', <axis>": second(axis="0 0 0"),
+    r"`xyz`: expected finite numbers of shape .3,., got .1.0, 0.0. .in joint 'j2', <axis>": second(
+        axis="1 0"
+    ),
+    "`offset`: expected a finite number, got 'x' .in joint 'j2', <mimic>": second(
         mimic("j1", 'offset="x"')
     ),
     "two of joint 'j1'": chain(FREE, joint("j1", "b", "c"), SHUT),
     "joint 'j2': no link 'e'": chain(FREE, joint("j2", "b", "e"), SHUT),
     "no joint's child, got a, c: join them": chain(FREE, SHUT),
     "joint 'j4': link 'd' has a joint to 'c'": second() + joint("j4", "a", "d"),
-    "link 'b' is in a circle": chain(joint("j1", "c", "b"), DOUBLE, joint("j3", "b", "d")),
-    "joint 'j2': expected a parent and a child, got no child": chain(FREE, SHUT)
+    "links b, c follow each other in a circle": chain(
+        joint("j1", "c", "b"), DOUBLE, joint("j3", "b", "d")
+    ),
+    "`link`: expected a text, got no such field .in joint 'j2', <child>": chain(FREE, SHUT)
     + '<joint name="j2" type="fixed"><parent link="b"/></joint>',
     f"{SHAPE} <capsule>.*leave_out": link("l", '<capsule radius="1" length="2"/>'),
     f"{SHAPE} none": link("l", ""),
@@ -323,12 +348,17 @@ REFUSED = {
     ),
     "no link has a <visual> shape$": '<link name="l"/>',
     "no <link> in <robot>, expected at least one": "",
-    "link 'l': <sphere> without `radius`": link("l", "<sphere/>"),
-    "link 'l': expected 3 positive numbers in size of <box>, got '1 2'": link(
+    "`radius`: expected a positive number, got no such field .in link 'l', <sphere>": link(
+        "l", "<sphere/>"
+    ),
+    r"`size`: expected finite numbers of shape \(3,\), .* .in link 'l', <box>": link(
         "l", '<box size="1 2"/>'
     ),
-    "expected 1 positive number in radius of <sphere>, got 'nan'": link(
+    "`radius`: expected a positive number, got nan .in link 'l', <sphere>": link(
         "l", '<sphere radius="nan"/>'
+    ),
+    "`size`: expected positive numbers, got .1.0, -1.0, 1.0. .in link 'l', <box>": link(
+        "l", '<box size="1 -1 1"/>'
     ),
     "two of link 'l'": 2 * link("l", BOX),
     "link 'b' is in <group>.* run `xacro .*move what is": f"<group>{link('b', BOX)}</group>",
@@ -357,7 +387,11 @@ def test_robots_that_are_not_read_are_refused_with_the_reason(tmp_path, words):
 @pytest.mark.parametrize("text", ['<sdf version="1.6"><model name="a"/></sdf>', "", "<robot", "{}"])
 def test_files_that_are_no_urdf_are_refused(tmp_path, text):
     (tmp_path / "a.urdf").write_text(text)
-    words = "<sdf> in place of <robot>: export" if "sdf" in text else "(no XML|Document is empty)"
+    words = (
+        "<sdf> in place of <robot>: export"
+        if "sdf" in text
+        else "no[a-z -]+.*: line 1, column|unclosed token: line 1"
+    )
     with refusal(f"`path`: expected a URDF file, got .*: {words}"):
         pj.robots.load_urdf(tmp_path / "a.urdf")
 

@@ -136,7 +136,7 @@ VERBS = {
         "Recover the one camera that sees ROBOT as the MASKs, one for each row of JOINTS: in the\n"
         "frame of its base, or with --in-hand in that of a link.\n"
         "Writes camera.json and overlay_K.png, prints the camera with its standard errors, and\n"
-        f"the masks that disagree. Needs yourdfpy: pip install 'pinhole-jax[robots]'.\n{TRUST}",
+        f"the masks that disagree.\n{TRUST}",
         "robot joints masks !--camera|--K --dist --pixel-centres --in-hand --leave-out --free"
         " --mask-from --tidy|--no-tidy --images --refine --joint-zeros --holdout --propose --report"
         " --verbose -o/--output --no-cache",

@@ -1,5 +1,7 @@
 """The fields of a file, taken out with checks that name the field, and the file it is in."""
 
+import re
+import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, TypeVar
 
@@ -12,6 +14,8 @@ Part = TypeVar("Part")
 Size = tuple[int, int]
 #: What stands for numbers that JSON has no word for.
 NOT_FINITE: dict[str | None, float] = {None: np.nan, "Infinity": np.inf, "-Infinity": -np.inf}
+#: Attributes of XML that are texts, whatever they look like.
+NAMES = ("name", "type", "link", "joint", "filename")
 YES, NO = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
 
 
@@ -84,10 +88,17 @@ class Fields:
         return parts[number]
 
     def array(
-        self, name: str, *shapes: tuple[int, ...], expected: str = "", finite: bool = True
+        self,
+        name: str,
+        *shapes: tuple[int, ...],
+        expected: str = "",
+        finite: bool = True,
+        default: Any = None,
     ) -> np.ndarray:
         """Return numbers of one of these shapes (-1: any size; none given: any shape), float64;
-        unless `finite`, null is NaN."""
+        unless `finite`, null is NaN. `default` stands for each number or all, as the first has."""
+        if default is not None and name not in self.data:
+            return np.full(shapes[0], default, float)
         words = " or ".join(str(shape).replace("-1", "N") for shape in shapes)
         expected = expected or f"{'finite ' * finite}numbers of shape {words}"
         value = self.get(name, expected)
@@ -95,7 +106,12 @@ class Fields:
         if array is not None and (not finite or np.all(np.isfinite(array))):
             if not finite and array.shape == (0,):  # no parameters, no rows
                 array = array.reshape(0, *shapes[0][1:])
-            if not shapes or any(_fits(array.shape, shape) for shape in shapes):
+            sizes = array.shape
+            fits = lambda shape: (
+                len(shape) == len(sizes)
+                and all(x in (-1, y) for x, y in zip(shape, sizes, strict=True))
+            )
+            if not shapes or any(map(fits, shapes)):
                 return array
         raise self.wrong(name, expected, short(value))
 
@@ -188,11 +204,6 @@ def as_numbers(value: Any) -> np.ndarray | None:
     return array.astype(float) if array.dtype.kind in "iuf" else None
 
 
-def _fits(sizes: tuple[int, ...], shape: tuple[int, ...]) -> bool:
-    pairs = zip(sizes, shape, strict=False)
-    return len(sizes) == len(shape) and all(wanted in (-1, size) for size, wanted in pairs)
-
-
 def _with_not_finite(value: Any) -> Any:
     """Return numbers in lists, with texts and null replaced by what they stand for."""
     if isinstance(value, list):
@@ -206,6 +217,21 @@ def number_or_text(word: str) -> float | str:
         return word if "_" in word or not word.isascii() else float(word)
     except ValueError:
         return word
+
+
+def attributes(element: ET.Element, where: str) -> Fields:
+    """Return an XML element's attributes; but for names, those that are numbers (parted by commas
+    or blanks) as such."""
+    data = {name: text if name in NAMES else _value(text) for name, text in element.items()}
+    return Fields(data, f"{where}, <{element.tag[:60]}>")
+
+
+def _value(text: str) -> Any:
+    """Return a text, or the number or the numbers that it is."""
+    words = [number_or_text(word) for word in re.split(r"[,\s]+", text.strip())]
+    if any(isinstance(word, str) for word in words):
+        return text
+    return words if len(words) > 1 else words[0]
 
 
 def short(value: Any) -> str:

@@ -10,10 +10,12 @@ import re
 import secrets
 import stat
 import sys
-from collections.abc import Iterable, Iterator
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
+from xml.parsers import expat
 
 from .interrupt import interrupts_raise
 
@@ -65,9 +67,9 @@ def is_folder(path: Any) -> bool:
         return False
 
 
-def existing_file(path: Any, kind: str, most: int | None = None) -> Path:
+def existing_file(path: Any, kind: str) -> Path:
     """Return the path of a file that `open_file` opens."""
-    open_file(path, kind, most).close()
+    open_file(path, kind, None).close()
     return as_path(path)
 
 
@@ -126,18 +128,36 @@ def read_json(path: Any, kind: str, most: int = MOST_BYTES) -> Any:
 
 
 def parse_json(text: str, path: Any, kind: str = "JSON") -> Any:
-    """Return the data of a file's JSON text.
+    """Return the data of a file's JSON text; ValueError where it is none or names a field twice."""
+    return parse_data(lambda: json.loads(text, object_pairs_hook=_object), path, kind)
 
-    Raises ValueError where it is none, is deeper than `MOST_DEPTH`, or names a field twice.
-    """
+
+def parse_data(parse: Callable[[], Any], path: Any, kind: str) -> Any:
+    """Return the data that a file's parser makes; ValueError where they have more than
+    `MOST_DEPTH` levels, or the parser raises it."""
     with _refusal(path, kind):
-        data, deep = None, True
         with suppress(RecursionError):  # deeper than Python goes
-            data = json.loads(text, object_pairs_hook=_object)
-            deep = is_deep(data)
-        if deep:
-            raise ValueError(f"more than {MOST_DEPTH} levels")
-    return data
+            data = parse()
+            if not is_deep(data):
+                return data
+        raise ValueError(f"more than {MOST_DEPTH} levels")
+
+
+def parse_xml(data: bytes | str, path: Any, kind: str = "XML") -> ET.Element:
+    """Return the root of a file's XML; tags keep their prefixes, whether or not declared.
+
+    Raises ValueError where it is none, or has a DOCTYPE, whose entities can grow without bound.
+    """
+    builder, parser = ET.TreeBuilder(), expat.ParserCreate()
+    parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
+    parser.CharacterDataHandler, parser.StartDoctypeDeclHandler = builder.data, _doctype
+    with _refusal(path, kind):
+        parser.Parse(data, True)
+    return builder.close()
+
+
+def _doctype(*_: object) -> None:
+    raise ValueError("a DOCTYPE, which is not read")
 
 
 def is_stream(path: Any) -> bool:
@@ -191,7 +211,7 @@ def _refusal(path: Any, kind: str, *passed: type[Exception]) -> Iterator[None]:
         yield
     except passed:
         raise
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, expat.ExpatError) as error:
         words = f"`path`: expected {kind}, got {_name(path)}: {reason(error)}"
         raise ValueError(words) from error
 

@@ -14,8 +14,20 @@ from typing import Any
 from .._camera.camera import Camera
 from .._files.fields import Fields, Size
 from .._files.paths import FilePath
-from .cameras import Cameras, NamedCameras, check_cameras, json_cameras, save_json, save_text
-from .pinhole import OPENGL, Pinhole, camera_from_pinhole, pinhole, read_pose, world_from_camera
+from .pinhole import (
+    OPENGL,
+    Cameras,
+    NamedCameras,
+    Pinhole,
+    camera_from_pinhole,
+    check_cameras,
+    json_cameras,
+    pinhole,
+    read_pose,
+    save_json,
+    save_text,
+    world_from_camera,
+)
 
 SCHEMA = "pinhole_jax.blender/1"
 FITS = ("AUTO", "HORIZONTAL", "VERTICAL")

@@ -14,12 +14,22 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from .._camera.camera import Camera
-from .._camera.distortion import BrownConrady, Distortion, Fisheye, Rational
+from .._camera.distortion import BrownConrady, Fisheye, Rational
 from .._camera.poses import inverse, pose_of, rigid
 from .._files.fields import Fields, number_or_text, short
 from .._files.paths import FilePath, open_file, replace_file
-from .cameras import KIND, Cameras, NamedCameras, by_name, check_cameras
-from .pinhole import OPENCV, Pinhole, camera_from_pinhole, distortion_model, pinhole
+from .pinhole import (
+    KIND,
+    OPENCV,
+    Cameras,
+    NamedCameras,
+    Pinhole,
+    by_name,
+    camera_from_pinhole,
+    check_cameras,
+    distortion_model,
+    pinhole,
+)
 
 #: COLMAP's models by name: their numbers, and parameters; what is not f, fx, fy, cx, cy is
 #: distortion.
@@ -34,19 +44,23 @@ MODELS = {
     "SIMPLE_RADIAL_FISHEYE": (8, "f cx cy k1"),
     "RADIAL_FISHEYE": (9, "f cx cy k1 k2"),
 }
+#: The same by number.
+NUMBERED = {number: (name, names) for name, (number, names) in MODELS.items()}
 PARTS = ("cameras", "images", "points3D")
 #: The most bytes of an image's name (a path, on any system), of a line, and of a file, whose points
 #: are passed over.
 MOST_NAME, MOST_LINE, MOST_MODEL = 4096, 1 << 26, 1 << 36
 
-#: A camera's intrinsics, its lens, and the place in its file.
-Intrinsics = tuple[Pinhole, Distortion | None, Fields]
+#: A camera's intrinsics, and their place in the file.
+Intrinsics = tuple[Pinhole, Fields]
 #: The values of a line or a binary record, in the order of `COLUMNS`, and the record's place.
 Record = tuple[Sequence[Any], str]
 COLUMNS = {
     "cameras": "CAMERA_ID MODEL WIDTH HEIGHT PARAMS",
     "images": "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME",
 }
+#: How a binary record begins.
+FORMS = {"cameras": "<IiQQ", "images": "<I7dI"}
 
 
 def read_colmap(folder: FilePath) -> Cameras:
@@ -109,7 +123,7 @@ def _can_hold(name: str, binary: bool) -> bool:
 
 
 def colmap_intrinsics(file: Path) -> dict[str, Intrinsics]:
-    """Return the intrinsics and lenses of a model's cameras.txt or .bin, by their numbers."""
+    """Return the intrinsics of a model's cameras.txt or .bin, by their numbers."""
     cameras: dict[str, Intrinsics] = {}
     for (key, model, *values), where in _records(file):
         known, given = ", ".join(MODELS), Fields({"CAMERA_ID": key}, where)
@@ -130,8 +144,8 @@ def _view(model: str, names: Sequence[str], fields: Fields) -> Intrinsics:
     size = fields.integer("WIDTH"), fields.integer("HEIGHT")
     distorted = {name: fields.number(name) for name in names if name[0] in "kp"}
     models = (Fisheye,) if model.endswith("FISHEYE") else (BrownConrady, Rational)
-    view = Pinhole(focals[0], focals[-1], *centre, *size)
-    return view, distortion_model(distorted, fields, models), fields
+    distortion = distortion_model(distorted, fields, models)
+    return Pinhole(focals[0], focals[-1], *centre, *size, distortion), fields
 
 
 def _posed(images: Path, cameras: Path) -> Iterator[tuple[str, Camera]]:
@@ -144,9 +158,9 @@ def _posed(images: Path, cameras: Path) -> Iterator[tuple[str, Camera]]:
         number = _new_key(fields, "CAMERA_ID")
         if number not in known:
             raise fields.wrong("CAMERA_ID", f"a camera of {str(cameras)!r}", number)
-        view, distortion, source = known[number]
+        view, source = known[number]
         pose = rigid(fields.rotation("QUATERNION"), fields.array("TRANSLATION", (3,)))
-        yield name, camera_from_pinhole(view, inverse(pose), OPENCV, source, distortion)
+        yield name, camera_from_pinhole(view, inverse(pose), OPENCV, source)
 
 
 def _new_key(fields: Fields, name: str, known: Container[str] = ()) -> str:
@@ -223,12 +237,20 @@ def _check_points(line: str, where: str) -> None:
 
 def _binary_records(file: Path) -> Iterator[Record]:
     """Yield a binary file's records: it has to end where they do."""
-    take = _take_camera if file.stem == "cameras" else _take_image
     with open_file(file, KIND, MOST_MODEL) as stream:
+        take = lambda form: struct.unpack(form, stream.read(struct.calcsize(form)))
         size = os.fstat(stream.fileno()).st_size
         try:
-            for _ in range(*_take(stream, "<Q")):
-                yield take(stream, repr(str(file)))
+            for _ in range(*take("<Q")):
+                head = take(FORMS[file.stem])
+                where = f"{str(file)!r}, {file.stem[:-1]} {head[0]}"
+                if file.stem == "cameras":
+                    key, model, *film = head
+                    name, names = NUMBERED.get(model, (f"number {model}", ""))
+                    yield (key, name, *film, *take(f"<{len(names.split())}d")), where
+                else:
+                    yield (*head, _take_name(stream, where)), where
+                    stream.seek(min(24 * take("<Q")[0], MOST_MODEL), os.SEEK_CUR)
         except struct.error:
             raise ValueError(
                 f"expected more than {size} bytes, got the end (in {str(file)!r})"
@@ -237,32 +259,18 @@ def _binary_records(file: Path) -> Iterator[Record]:
             raise ValueError(f"expected {stream.tell()} bytes, got {size} (in {str(file)!r})")
 
 
-def _take_camera(stream: BinaryIO, file: str) -> Record:
-    key, model, *size = _take(stream, "<IiQQ")
-    known = {number: (name, names) for name, (number, names) in MODELS.items()}
-    name, names = known.get(model, (f"number {model}", ""))
-    return (key, name, *size, *_take(stream, f"<{len(names.split())}d")), f"{file}, camera {key}"
-
-
-def _take_image(stream: BinaryIO, file: str) -> Record:
-    numbers = _take(stream, "<I7dI")
-    where = f"{file}, image {numbers[0]}"
+def _take_name(stream: BinaryIO, where: str) -> str:
+    """Return the name up to the next zero byte."""
     name = b"".join(islice(iter(lambda: stream.read(1), b"\0"), MOST_NAME + 1))
     if len(name) > MOST_NAME:
         raise ValueError(f"`NAME`: expected at most {MOST_NAME} bytes, got more (in {where})")
-    points = 24 * _take(stream, "<Q")[0]
-    stream.seek(min(points, MOST_MODEL), os.SEEK_CUR)
-    return (*numbers, _decoded(name, where, "`NAME`: ")), where
-
-
-def _take(stream: BinaryIO, form: str) -> tuple[Any, ...]:
-    """Return the next values; raise struct.error at the end."""
-    return struct.unpack(form, stream.read(struct.calcsize(form)))
+    return _decoded(name, where, "`NAME`: ")
 
 
 def _intrinsics(camera: Camera) -> tuple:
     """Return intrinsics as a COLMAP model has them: its name, W, H, its parameters in order."""
-    view, distortion = pinhole(camera, distorted=True), camera.distortion
+    view = pinhole(camera, distorted=True)
+    distortion = view.distortion
     k3 = isinstance(distortion, BrownConrady) and float(distortion.k3)
     name = "FULL_OPENCV" if k3 or isinstance(distortion, Rational) else "OPENCV"
     if distortion is None or isinstance(distortion, Fisheye):
@@ -282,12 +290,13 @@ def _text(views: list[tuple], images: list[tuple]) -> Iterator[bytes]:
 
 def _binary(views: list[tuple], images: list[tuple]) -> Iterator[bytes]:
     """Yield cameras.bin, images.bin and points3D.bin."""
-    none = struct.pack("<Q", 0)
-    yield struct.pack("<Q", len(views)) + b"".join(
-        struct.pack(f"<IiQQ{len(numbers)}d", key, MODELS[model][0], W, H, *numbers)
+    count = struct.Struct("<Q").pack
+    yield count(len(views)) + b"".join(
+        struct.pack(f"{FORMS['cameras']}{len(numbers)}d", key, MODELS[model][0], W, H, *numbers)
         for key, model, W, H, *numbers in views
     )
-    yield struct.pack("<Q", len(images)) + b"".join(
-        struct.pack("<I7dI", *row) + name.encode() + b"\0" + none for *row, name in images
+    yield count(len(images)) + b"".join(
+        struct.pack(FORMS["images"], *row) + name.encode() + b"\0" + count(0)
+        for *row, name in images
     )
-    yield none
+    yield count(0)

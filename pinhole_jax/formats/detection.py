@@ -118,7 +118,7 @@ def detect(
     fields = Fields({name: x for name, x in given.items() if x is not None}, "the arguments")
     readings: dict[tuple[float, ...], list[Reading]] = {}
     for (pose_words, place), (view_words, view) in product(_poses(fields), _views(fields, W, H)):
-        numbers = np.r_[np.ravel(place / np.max(np.abs(place))), view]
+        numbers = np.r_[np.ravel(place / np.max(np.abs(place))), view[:6]]
         reading = Reading((*pose_words, *view_words), place, view)
         readings.setdefault(tuple(np.round(numbers, 6) + 0.0), []).append(reading)
     hypotheses = (_hypothesis(scene, target, group) for group in readings.values())

@@ -12,17 +12,18 @@ from .._files.paths import (
     as_path,
     file_and_name,
     is_folder,
+    parse_xml,
     read_json as load_json,
     read_text,
 )
 from .blender import SCHEMA as BLENDER_SCHEMA, read_blender, write_blender, write_blender_script
-from .cameras import KIND, Cameras, NamedCameras, chosen, parse_xml
 from .colmap import read_colmap, write_colmap
 from .gltf import read_gltf, write_gltf
 from .mitsuba import read_mitsuba, write_mitsuba
 from .native import read_json, write_json
 from .nerf import read_nerf, write_nerf
 from .opencv import read_opencv, write_opencv
+from .pinhole import KIND, Cameras, NamedCameras, chosen
 from .pytorch3d import read_pytorch3d, write_pytorch3d
 from .unknown import unknown
 
@@ -52,8 +53,9 @@ FORMATS = {
 }
 ENDINGS = {ending: name for name, format in FORMATS.items() for ending in format.endings}
 COLMAP_FILES = ("cameras.txt", "images.txt", "cameras.bin", "images.bin")
-#: Fields of JSON that identify a format; the first that are all there.
+#: Fields of JSON, or its schema, that identify a format; the first that are all there.
 FIELDS = {
+    BLENDER_SCHEMA: "blender",
     "matrix_world": "blender",
     "R T in_ndc": "pytorch3d",
     "frames": "nerf",
@@ -147,16 +149,15 @@ def _guess_read(path: Path) -> str:
 def _json_format(path: Path) -> str:
     """Return the format of a JSON file, by its fields."""
     data = load_json(path, KIND)
-    names = {*data} if isinstance(data, dict) else set()
-    if names and data.get("schema") == BLENDER_SCHEMA:
-        return "blender"
+    named = data if isinstance(data, dict) else {}
+    names = {*named, str(named.get("schema"))}
     for fields, format in FIELDS.items():
         if names.issuperset(fields.split()):
             return format
     if not (isinstance(data, dict) or unknown(data)):
         raise ValueError(f"`path`: expected a JSON object, got {short(data)} in {str(path)!r}")
     known = ", ".join(name for name, format in FORMATS.items() if format.read)
-    got = unknown(data) or f"JSON with the fields {short(sorted(names))}"
+    got = unknown(data) or f"JSON with the fields {short(sorted(named))}"
     raise ValueError(f"`path`: expected one of {known}, got {got} (in {str(path)!r})")
 
 

@@ -18,11 +18,15 @@ from .._camera.camera import Camera
 from .._files.fields import Fields, Size
 from .._files.paths import FilePath, read_bytes, replace_file
 from .._mesh_files.glb import MOST_BYTES, children, pack_glb, parse_gltf, parts, place_nodes
-from .cameras import KIND, Cameras, NamedCameras, by_name, check_cameras
 from .pinhole import (
+    KIND,
     OPENGL,
+    Cameras,
+    NamedCameras,
     Pinhole,
+    by_name,
     camera_from_pinhole,
+    check_cameras,
     focal_from_fov,
     fov_from_focal,
     pinhole,

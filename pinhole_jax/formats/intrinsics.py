@@ -6,16 +6,14 @@ from pathlib import Path
 import numpy as np
 
 from .._camera.camera import Camera
-from .._camera.distortion import Distortion
 from .._camera.matrices import Centres
 from .._files.fields import Fields, Size
 from .._files.paths import FilePath, existing_file, file_and_name, is_folder, read_json
 from .._numerics.arrays import Input
-from .cameras import KIND, chosen
 from .colmap import colmap_intrinsics
 from .native import camera_from_fields
 from .opencv import known_name, opencv_intrinsics
-from .pinhole import COEFFICIENTS, OPENGL, Pinhole, camera_from_pinhole, pinhole
+from .pinhole import COEFFICIENTS, KIND, OPENGL, Pinhole, camera_from_pinhole, chosen, pinhole
 from .unknown import CAMCHAIN, unknown
 
 #: Names of fx, fy, cx, cy, one by one.
@@ -63,18 +61,18 @@ def read_intrinsics(
     fields = _fields(place, name)
     if fields.data.keys() >= OWN:
         own = camera_from_fields(fields)
-        return _unplaced(pinhole(own, distorted=True), own.distortion, fields)
-    view, distortion = opencv_intrinsics(fields, size, pixel_centres)
+        return _unplaced(pinhole(own, distorted=True), fields)
+    view = opencv_intrinsics(fields, size, pixel_centres)
     if 0 < view.fx < LEAST_PX:
         words = f"fx = {view.fx:g}: of a picture whose sides count as 1? Multiply by its size"
         raise fields.wrong("K", "px", words)
-    return _unplaced(view, distortion, fields)
+    return _unplaced(view, fields)
 
 
-def _unplaced(view: Pinhole, distortion: Distortion | None, fields: Fields) -> Camera:
+def _unplaced(view: Pinhole, fields: Fields) -> Camera:
     pose = np.eye(4)
     pose[2, 3] = 1.0
-    return camera_from_pinhole(view, pose, OPENGL, fields, distortion)
+    return camera_from_pinhole(view, pose, OPENGL, fields)
 
 
 def _fields(place: Path, camera: str | None) -> Fields:

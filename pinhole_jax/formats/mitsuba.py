@@ -17,18 +17,23 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from .._camera.camera import Camera
-from .._camera.poses import Pose, pose_of
-from .._files.fields import Fields, Size, number_or_text, short
-from .._files.paths import FilePath, read_text
-from .cameras import KIND, Cameras, NamedCameras, by_name, check_cameras, parse_xml, save_text
+from .._camera.poses import Pose, exponential, pose_of, rigid
+from .._files.fields import Fields, Size, attributes, number_or_text, short
+from .._files.paths import FilePath, parse_xml, read_text
 from .pinhole import (
+    KIND,
     LEFT_UP_FORWARD,
+    Cameras,
+    NamedCameras,
     Pinhole,
+    by_name,
     camera_from_pinhole,
+    check_cameras,
     focal_from_fov,
     fov_from_focal,
     pinhole,
     pose_from_matrix,
+    save_text,
     world_from_camera,
 )
 from .unknown import unknown
@@ -144,13 +149,6 @@ def _fill(root: ET.Element, where: str) -> None:
             defaults.setdefault(f"${element.get('name')}", element.get("value", ""))
 
 
-def _attributes(element: ET.Element, where: str) -> Fields:
-    """Return an element's attributes, those that are numbers (parted by commas or blanks) as
-    such."""
-    data = {name: _value(text) for name, text in element.items()}
-    return Fields(data, f"{where}, <{element.tag[:60]}>")
-
-
 def _properties(element: ET.Element, where: str) -> Fields:
     """Return an element's type and its named numbers and texts, names as Mitsuba 3's."""
     data: dict[str, Any] = {"type": element.get("type", "")}
@@ -159,18 +157,10 @@ def _properties(element: ET.Element, where: str) -> Fields:
             name = _snake(part.get("name", "")[:MOST_NAME])
             if name in data:
                 raise ValueError(f"`{name}`: expected one such property, got two (in {where})")
-            value = _attributes(part, where).get("value", "a value")
+            value = attributes(part, where).get("value", "a value")
             own = Fields({name: value}, where)
             data[name] = value if part.tag == "string" else own.number(name)
     return Fields(data, where)
-
-
-def _value(text: str) -> Any:
-    """Return a text, or the number or the numbers that it is."""
-    words = [number_or_text(word) for word in re.split(r"[,\s]+", text.strip())]
-    if any(isinstance(word, str) for word in words):
-        return text
-    return words if len(words) > 1 else words[0]
 
 
 def _camera(sensor: ET.Element, size: Size | None, where: str) -> Camera:
@@ -192,7 +182,7 @@ def _camera(sensor: ET.Element, size: Size | None, where: str) -> Camera:
     pose = np.eye(4)
     with np.errstate(all="ignore"):  # what overflows is no rotation
         for step in (step for move in moves for step in move):
-            pose = _step(_snake(step.tag), _attributes(step, where)) @ pose
+            pose = _step(_snake(step.tag), attributes(step, where)) @ pose
     pose = pose_from_matrix(pose, fields, "to_world")
     return camera_from_pinhole(Pinhole(focal, focal, cx, cy, W, H), pose, LEFT_UP_FORWARD, fields)
 
@@ -202,7 +192,7 @@ def _focal(fields: Fields, W: int, H: int) -> float:
     diagonal = float(np.hypot(W, H))
     if "fov" not in fields:
         words = str(fields.data.get("focal_length", "50mm"))
-        film = Fields({"focal_length": _value(words.removesuffix("mm"))}, fields.where)
+        film = Fields({"focal_length": number_or_text(words.removesuffix("mm"))}, fields.where)
         return film.positive("focal_length") * diagonal / float(np.hypot(36, 24))
     if "focal_length" in fields:
         raise fields.wrong("fov", "it or focal_length", "both")
@@ -213,41 +203,30 @@ def _focal(fields: Fields, W: int, H: int) -> float:
 
 def _step(kind: str, fields: Fields) -> Pose:
     """Return one operation of a transform as a (4, 4) matrix."""
-    from scipy.spatial.transform import Rotation
-
-    result = np.eye(4)
     if kind == "matrix":
         numbers = fields.array("value", (9,), (16,))
-        n = math.isqrt(numbers.size)
+        n, result = math.isqrt(numbers.size), np.eye(4)
         result[:n, :n] = numbers.reshape(n, n)
-    elif kind in ("lookat", "look_at"):
+        return result
+    if kind in ("lookat", "look_at"):
         origin, target, up = (fields.array(name, (3,)) for name in ("origin", "target", "up"))
         try:
             looking = Camera(origin, target, up, 1.0, 1.0, 1, 1)
         except ValueError:
             raise fields.wrong("up", "another direction than the view's", up) from None
-        result = pose_of(looking) @ LEFT_UP_FORWARD
-    elif kind == "rotate":
-        axis = _xyz(fields, 0)
-        if not np.any(axis):
-            raise fields.wrong("rotate", "an axis", "none")
-        angle = np.deg2rad(fields.number("angle"))
-        turn = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis))
-        result[:3, :3] = turn.as_matrix()
-    elif kind == "translate":
-        result[:3, 3] = _xyz(fields, 0)
-    elif kind == "scale":
-        result[:3, :3] *= _xyz(fields, 1)
-    else:
+        return pose_of(looking) @ LEFT_UP_FORWARD
+    if kind not in ("rotate", "translate", "scale"):
         raise fields.wrong("to_world", "matrix, lookat, rotate, translate or scale", repr(kind))
-    return result
-
-
-def _xyz(fields: Fields, default: int) -> np.ndarray:
-    """Return a step's vector: of `value`, one number or three, or of x, y and z."""
-    if "value" not in fields:
-        return np.array([fields.number(x, default) for x in "xyz"])
-    return np.broadcast_to(fields.array("value", (), (3,)), 3)
+    each = [fields.number(x, kind == "scale") for x in "xyz"]
+    xyz = np.broadcast_to(fields.array("value", (3,), (), default=each), 3)
+    if kind == "scale":
+        return np.diag([*xyz, 1.0])
+    if kind == "translate":
+        return rigid(np.eye(3), xyz)
+    if not np.any(xyz):
+        raise fields.wrong("rotate", "an axis", "none")
+    turn = np.deg2rad(fields.number("angle")) * xyz / np.linalg.norm(xyz)
+    return exponential(np.r_[turn, np.zeros(3)])
 
 
 def _snake(name: str) -> str:

@@ -14,7 +14,7 @@ from .._camera.lens import Lens
 from .._files.fields import Fields, read_fields, short
 from .._files.paths import FilePath, replace_file
 from .._numerics.arrays import Input
-from .cameras import KIND, Cameras, NamedCameras, check_cameras, json_cameras, save_json
+from .pinhole import KIND, Cameras, NamedCameras, check_cameras, json_cameras, save_json
 
 CAMERA_SCHEMA = "pinhole_jax.camera/1"
 CAMERAS_SCHEMA = "pinhole_jax.cameras/1"

@@ -9,17 +9,22 @@ from .._camera.camera import Camera
 from .._camera.distortion import BrownConrady, Fisheye, Rational
 from .._files.fields import Fields, Size, read_fields
 from .._files.paths import FilePath
-from .cameras import KIND, Cameras, NamedCameras, by_name, check_cameras, save_json
 from .pinhole import (
     COEFFICIENTS,
+    KIND,
     OPENGL,
+    Cameras,
+    NamedCameras,
     Pinhole,
+    by_name,
     camera_from_pinhole,
+    check_cameras,
     distortion_model,
     focal_from_fov,
     fov_from_focal,
     pinhole,
     read_pose,
+    save_json,
     world_from_camera,
 )
 
@@ -108,15 +113,15 @@ def _camera(fields: Fields, size: Size | None) -> Camera:
         raise fields.wrong("fl_x", "fl_x (px) or camera_angle_x (rad, horizontal)", "neither")
     centre = fields.number("cx", W / 2), fields.number("cy", H / 2)
     pose = read_pose(fields, "transform_matrix")
-    return camera_from_pinhole(Pinhole(fx, fy, *centre, W, H), pose, OPENGL, fields, distortion)
+    return camera_from_pinhole(Pinhole(fx, fy, *centre, W, H, distortion), pose, OPENGL, fields)
 
 
 def _intrinsics(camera: Camera) -> dict[str, float | int]:
-    view, distortion = pinhole(camera, distorted=True), camera.distortion
-    if isinstance(distortion, Rational):  # k4 here is another term of the numerator
+    view = pinhole(camera, distorted=True)
+    if isinstance(view.distortion, Rational):  # k4 here is another term of the numerator
         raise ValueError("`cameras`: expected OpenCV's k1, k2, p1, p2, k3, got a Rational")
     return {
-        **({} if distortion is None else distortion.coefficients()),
+        **({} if view.distortion is None else view.distortion.coefficients()),
         "w": view.W,
         "h": view.H,
         "fl_x": view.fx,

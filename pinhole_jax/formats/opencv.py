@@ -14,19 +14,23 @@ import numpy as np
 
 from .._camera.distortion import BrownConrady, Distortion, Fisheye, Rational
 from .._camera.matrices import Centres, half_pixel
-from .._camera.poses import Pose, inverse, rigid
+from .._camera.poses import Pose, exponential, inverse, pose_of
 from .._files.fields import Fields, Size, as_numbers, short
 from .._files.paths import FilePath
 from .._numerics.arrays import Input
-from .cameras import Cameras, NamedCameras, by_name, check_cameras, save_text
 from .pinhole import (
     OPENCV,
+    Cameras,
+    NamedCameras,
     Pinhole,
+    by_name,
     camera_from_pinhole,
+    check_cameras,
     distortion_model,
+    pinhole,
     pose_from_matrix,
     read_matrix,
-    to_opencv,
+    save_text,
 )
 from .unknown import unknown
 
@@ -74,9 +78,8 @@ NEITHER = ("pinhole", "simplepinhole", "perspective", "standard", "opencv", "non
 MENTIONED = re.compile(r"fisheye|equidist|kannala")
 #: What YAML and JSON write where there is nothing.
 NULLS = (None, "~", "null", "")
-COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tau_x",
-                "tau_y")  # fmt: skip
-FISHEYE = ("k1", "k2", "k3", "k4")
+#: The coefficients in their order; what follows those of `Rational` is not read.
+COEFFICIENTS = (*Rational.powers, "s1", "s2", "s3", "s4", "tau_x", "tau_y")
 #: A rotation vector that is longer (rad) has lost its angle to rounding.
 MOST_ANGLE = 1e4
 #: What YAML cannot hold as it stands, or takes for the end of a line.
@@ -114,37 +117,31 @@ def read_opencv(
     if named.isdisjoint(POSES) and (whose := unknown(file.data)):
         raise ValueError(f"`path`: expected OpenCV's calibration, got {whose} (in {file.where})")
     fields = _known(file)
-    view, distortion = _intrinsics(fields, size, pixel_centres)
+    view = _intrinsics(fields, size, pixel_centres)
     poses = _poses(fields)
     names = [str(k) for k in range(len(poses))] if len(poses) > 1 else ["camera"]
     if isinstance(alone := fields.data.get("camera_names"), str):
         names = [alone]
     elif "camera_names" in fields:
         names = fields.items("camera_names", len(poses), f"{len(poses)} different names")
-    cameras = (
-        camera_from_pinhole(view, inverse(pose), OPENCV, fields, distortion) for pose in poses
-    )
+    cameras = (camera_from_pinhole(view, inverse(pose), OPENCV, fields) for pose in poses)
     return by_name(zip(map(str, names), cameras, strict=True), fields.where)
 
 
-def opencv_intrinsics(
-    file: Fields, size: Size | None, pixel_centres: str
-) -> tuple[Pinhole, Distortion | None]:
-    """Return the intrinsics and the lens of a calibration's fields; `size` and `pixel_centres`
-    where they do not say."""
+def opencv_intrinsics(file: Fields, size: Size | None, pixel_centres: str) -> Pinhole:
+    """Return the intrinsics of a calibration's fields; `size` and `pixel_centres` where they do not
+    say."""
     fields = _known(file)
     known = None if "image_width" in fields or "image_height" in fields else size
     return _intrinsics(fields, known, fields.data.get("pixel_centres", pixel_centres))
 
 
-def _intrinsics(
-    fields: Fields, size: Size | None, pixel_centres: str | None
-) -> tuple[Pinhole, Distortion | None]:
+def _intrinsics(fields: Fields, size: Size | None, pixel_centres: str | None) -> Pinhole:
     centres = fields.text("pixel_centres", ("integer", "half"), "integer")
     half = half_pixel(centres if pixel_centres is None else pixel_centres)
     view = read_matrix(fields, "camera_matrix", 1, 1, half)
     W, H = fields.size("image_width", "image_height", size)
-    return view._replace(W=W, H=H), _distortion(fields)
+    return view._replace(W=W, H=H, distortion=_distortion(fields))
 
 
 def write_opencv(
@@ -164,29 +161,29 @@ def write_opencv(
     ```
     """
     check_cameras(cameras, "OpenCV", _can_hold)
-    matrices = [to_opencv(camera, pixel_centres=pixel_centres) for camera in cameras.values()]
-    first, (K, R, t) = next(iter(cameras.values())), matrices[0]
-    for (name, camera), (other, _, _) in zip(cameras.items(), matrices, strict=True):
-        film = (camera.W, camera.H, camera.distortion)
-        if np.abs(other - K).max() > 1e-9 or film != (first.W, first.H, first.distortion):
+    views = {name: pinhole(camera, distorted=True) for name, camera in cameras.items()}
+    (name, first), *others = views.items()
+    for other, view in others:
+        if np.abs(np.subtract(view[:4], first[:4])).max() > 1e-9 or view[4:] != first[4:]:
             raise ValueError(
                 "`cameras`: expected one K, lens and image size in an OpenCV file, got others in"
-                f" {name!r} than in {next(iter(cameras))!r}; write one file each"
+                f" {other!r} than in {name!r}; write one file each"
             )
+    poses = [inverse(pose_of(camera)) for camera in cameras.values()]
     model = first.distortion or BrownConrady()
     coefficients = np.array([*model.coefficients().values()])
     text = f"%YAML:1.0\n---\nimage_width: {first.W}\nimage_height: {first.H}\n"
     text += f"pixel_centres: {json.dumps(pixel_centres)}\n"
     text += f"camera_names: [ {json.dumps([*cameras], ensure_ascii=False)[1:-1]} ]\n"
-    text += _matrix("camera_matrix", K)
+    text += _matrix("camera_matrix", first.matrix(half_pixel(pixel_centres)))
     text += 'distortion_model: "fisheye"\n' * isinstance(model, Fisheye)
     text += _matrix("distortion_coefficients", coefficients[:, None])
-    if len(matrices) == 1:
-        text += _matrix("R", R) + _matrix("t", t[:, None])
+    if len(poses) == 1:
+        text += _matrix("R", poses[0][:3, :3]) + _matrix("t", poses[0][:3, 3:])
     else:
         from scipy.spatial.transform import Rotation
 
-        rows = [np.r_[Rotation.from_matrix(R).as_rotvec(), t] for _, R, t in matrices]
+        rows = [np.r_[Rotation.from_matrix(x[:3, :3]).as_rotvec(), x[:3, 3]] for x in poses]
         text += _matrix("extrinsic_parameters", np.stack(rows))
     save_text(path, text)
 
@@ -274,15 +271,13 @@ def _poses(fields: Fields) -> list[Pose]:
         rows = np.r_[rows, shift][None]
     if np.any(np.abs(rows[:, :3]) > MOST_ANGLE):
         raise fields.wrong(name, f"a turn of at most {MOST_ANGLE:g} rad", rows)
-    from scipy.spatial.transform import Rotation
-
-    return [rigid(Rotation.from_rotvec(row[:3]).as_matrix(), row[3:]) for row in rows]
+    return [exponential(row) for row in rows]
 
 
 def _distortion(fields: Fields) -> Distortion | None:
     name, fisheye = "distortion_coefficients", fields.data.get("fisheye", False)
     models = (Fisheye,) if fisheye else (BrownConrady, Rational)
-    names, sizes = (FISHEYE, (4,)) if fisheye else (COEFFICIENTS, (4, 5, 8, 12, 14))
+    names, sizes = (Fisheye.powers, (4,)) if fisheye else (COEFFICIENTS, (4, 5, 8, 12, 14))
     if isinstance(fields.data.get(name), Mapping):
         part = fields.part(name)
         return distortion_model({key: part.number(key) for key in part.data}, fields, models)

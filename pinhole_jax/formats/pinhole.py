@@ -1,21 +1,30 @@
-"""The common ground of all formats: focal lengths, a principal point, axes, a rigid transform.
+"""The common ground of all formats: focal lengths, a principal point, axes, a rigid transform;
+cameras by name, in JSON and text.
 
 A format says which axes its camera frame has and where its pixel coordinates begin. All else is
 here: a reader or a writer is the list of its file's fields.
 """
 
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from .._camera.camera import Camera, check_camera, focal_px, principal_point
-from .._camera.distortion import Distortion, Fisheye
+from .._camera.distortion import Distortion, Fisheye, Rational
 from .._camera.matrices import Centres, half_pixel
 from .._camera.poses import Pose, check_pose, inverse, pose_of
-from .._files.fields import Fields
+from .._files.fields import Fields, Part, read_fields, short
+from .._files.paths import FilePath, replace_file
 from .._numerics.arrays import ArrayLike, Input
 
+#: Cameras by name.
+Cameras = dict[str, Camera]
+#: What is written: cameras by name in any mapping.
+NamedCameras = Mapping[str, Camera]
+#: What readers here expect a file to be.
+KIND = "a camera file"
 #: Camera frames as poses in OpenCV's (x right, y down, z forward): each is its own inverse.
 OPENCV = np.eye(4)
 #: x right, y up, z backward: OpenGL, Blender, NeRF, glTF.
@@ -23,11 +32,12 @@ OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 #: x left, y up, z forward: PyTorch3D, Mitsuba.
 LEFT_UP_FORWARD = np.diag([-1.0, -1.0, 1.0, 1.0])
 #: Coefficients of a lens, as files name them one by one.
-COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
+COEFFICIENTS = (*Rational.powers,)
 
 
 class Pinhole(NamedTuple):
-    """Intrinsics in px: focal lengths, and the principal point from the image's top-left corner.
+    """Intrinsics in px: focal lengths, and the principal point from the image's top-left corner;
+    and the lens's distortion.
 
     y runs down, and pixel centres lie at halves: the corner itself is (0, 0).
     """
@@ -38,6 +48,7 @@ class Pinhole(NamedTuple):
     cy: float
     W: int
     H: int
+    distortion: Distortion | None = None
 
     def matrix(self, half: float = 0.0) -> np.ndarray:
         """Return K (3, 3), whose pixel centres are at integers (`half` is 0.5) or at halves (0)."""
@@ -56,7 +67,7 @@ def pinhole(camera: Camera, *, distorted: bool = False) -> Pinhole:
             f" {type(camera.distortion).__name__}"
         )
     (fx, fy), (x, y) = (map(float, pair(camera)) for pair in (focal_px, principal_point))
-    return Pinhole(fx, fy, x, camera.H - y, camera.W, camera.H)
+    return Pinhole(fx, fy, x, camera.H - y, camera.W, camera.H, camera.distortion)
 
 
 def from_opencv(
@@ -154,18 +165,14 @@ def read_matrix(fields: Fields, name: str, W: int, H: int, half: float) -> Pinho
 
 
 def camera_from_pinhole(
-    view: Pinhole,
-    world_from_camera: Pose,
-    axes: Pose,
-    fields: Fields,
-    distortion: Distortion | None = None,
+    view: Pinhole, world_from_camera: Pose, axes: Pose, fields: Fields
 ) -> Camera:
     """Return the camera of intrinsics and a rigid transform from a frame with these axes."""
-    pose, size = inverse(world_from_camera @ axes), (view.W, view.H)
+    pose = inverse(world_from_camera @ axes)
     R, t = pose[:3, :3], pose[:3, 3]
     try:
         return Camera.from_K(
-            view.matrix(), R, t, *size, pixel_centres="half", distortion=distortion
+            view.matrix(), R, t, view.W, view.H, pixel_centres="half", distortion=view.distortion
         )
     except ValueError as error:
         raise ValueError(f"{error} (in {fields.where})") from None
@@ -179,3 +186,65 @@ def focal_from_fov(fov: float, length: float | int) -> float:
 def fov_from_focal(focal: float, length: float | int) -> float:
     """Return the field of view in rad of a focal length in px over this many px."""
     return float(2 * np.arctan(length / (2 * focal)))
+
+
+def json_cameras(path: FilePath, read: Callable[[Fields], Camera]) -> Cameras:
+    """Return the cameras of a JSON file: of its field `cameras` by name, or the file's one."""
+    top = read_fields(path, KIND)
+    if "cameras" not in top:
+        return {top.text("name", default="camera"): read(top)}
+    parts = top.part("cameras")
+    return {name: read(parts.part(name)) for name in parts.data}
+
+
+def save_json(path: FilePath, data: Any) -> None:
+    """Write JSON, whole or not at all."""
+    save_text(path, json.dumps(data, indent=1, allow_nan=False) + "\n")
+
+
+def save_text(path: FilePath, text: str) -> None:
+    """Write a text, whole or not at all."""
+    replace_file(path, text.encode())
+
+
+def check_cameras(
+    cameras: Any, program: str, can_hold: Callable[[str], Any] = lambda name: True
+) -> None:
+    """Raise ValueError unless these are cameras by names that a program can hold."""
+    if not isinstance(cameras, Mapping):
+        kind = type(cameras).__name__
+        raise ValueError(f"`cameras`: expected a dict of Cameras by their names, got {kind}")
+    if not cameras:
+        raise ValueError("`cameras`: expected at least one, got none")
+    for name, camera in cameras.items():
+        check_camera(camera, f"cameras[{short(name)}]")
+        try:
+            fits = isinstance(name, str) and name.encode() is not None and can_hold(name)
+        except UnicodeEncodeError:
+            fits = False
+        if not fits:
+            raise ValueError(f"`cameras`: expected names {program} can hold, got {short(name)}")
+
+
+def chosen(cameras: Mapping[str, Part], name: str | None, where: str) -> Part:
+    """Return the camera of this name; without one, the only one."""
+    if name is None and len(cameras) == 1:
+        name = next(iter(cameras))
+    if name is None or name not in cameras:
+        known = short([*cameras])
+        words = f"one camera, or FILE:NAME with a name among {known}"
+        got = f"{len(cameras)} cameras" if name is None else repr(name)
+        raise ValueError(f"`path`: expected {words}, got {got} (in {where})")
+    return cameras[name]
+
+
+def by_name(cameras: Iterable[tuple[str, Camera]], where: str) -> Cameras:
+    """Return cameras by name, or raise ValueError where two have the same."""
+    named: Cameras = {}
+    for name, camera in cameras:
+        if name in named:
+            raise ValueError(
+                f"expected one camera of each name, got two of {short(name)} (in {where})"
+            )
+        named[name] = camera
+    return named

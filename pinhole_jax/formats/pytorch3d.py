@@ -13,26 +13,25 @@ from .._camera.poses import inverse
 from .._files.fields import Fields, Size, as_numbers, read_fields
 from .._files.paths import FilePath
 from .._numerics.arrays import ArrayLike, Input
-from .cameras import KIND, Cameras, NamedCameras, by_name, check_cameras, save_json
 from .pinhole import (
+    KIND,
     LEFT_UP_FORWARD,
+    Cameras,
+    NamedCameras,
     Pinhole,
+    by_name,
     camera_from_pinhole,
+    check_cameras,
     focal_from_fov,
     pinhole,
     pose_from_matrix,
+    save_json,
     world_from_camera,
 )
 
 SCHEMA = "pytorch3d.PerspectiveCameras"
-#: The arrays of a file, and the shape of each camera's.
-SHAPES: dict[str, tuple[int, ...]] = {
-    "R": (3, 3),
-    "T": (3,),
-    "focal_length": (2,),
-    "principal_point": (2,),
-    "image_size": (2,),
-}
+#: The arrays of a file; each camera has a row of them.
+ARRAYS = ("R", "T", "focal_length", "principal_point", "image_size")
 
 
 def to_pytorch3d(camera: Camera) -> dict[str, np.ndarray]:
@@ -128,12 +127,14 @@ def read_pytorch3d(path: FilePath, *, size: Size | None = None) -> Cameras:
     """
     top = read_fields(path, KIND)
     count, in_ndc = len(top.array("R", (-1, 3, 3))), top.flag("in_ndc")
-    names = top.items("names", count, f"{count} names") if "names" in top else range(count)
-    shapes = {x: y for x, y in SHAPES.items() if x != "image_size" or size is None or x in top}
-    arrays = (top.array(name, (count, *shape)) for name, shape in shapes.items())
+    optional = {"names"} if size is None else {"names", "image_size"}
+    given = [name for name in ("names", *ARRAYS) if name in top or name not in optional]
+    rows = {name: top.items(name, count, f"a list of {count}") for name in given}
+    names = rows.pop("names", range(count))
+    parts = (dict(zip(rows, row, strict=True)) for row in zip(*rows.values(), strict=True))
     cameras = (
-        _camera(Fields(dict(zip(shapes, x, strict=True)), f"{top.where}, camera {k}"), in_ndc, size)
-        for k, x in enumerate(zip(*arrays, strict=True))
+        _camera(Fields(part, f"{top.where}, camera {k}"), in_ndc, size)
+        for k, part in enumerate(parts)
     )
     return by_name(zip(map(str, names), cameras, strict=True), top.where)
 

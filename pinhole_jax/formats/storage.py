@@ -3,6 +3,7 @@
 import re
 import xml.etree.ElementTree as ET
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +11,15 @@ import numpy as np
 import yaml
 
 from .._files.fields import Fields, as_numbers, short
-from .._files.paths import MOST_DEPTH, FilePath, first_repeat, is_deep, parse_json, read_text
-from .cameras import KIND, parse_xml
+from .._files.paths import (
+    FilePath,
+    first_repeat,
+    parse_data,
+    parse_json,
+    parse_xml,
+    read_text,
+)
+from .pinhole import KIND
 
 #: The largest YAML that is read here, in characters (it takes a second and 0.3 GB).
 MOST_YAML = 1 << 20
@@ -47,52 +55,44 @@ def load(path: FilePath) -> Fields:
 
     Raises ValueError naming file and line where it is no YAML, XML or JSON of that kind.
     """
-    text, where = read_text(path, KIND), repr(str(path))
+    text = read_text(path, KIND)
     if text.lstrip().startswith("<"):
-        data = _xml_value(parse_xml(text, path), where)
+        data = parse_data(partial(_xml_value, parse_xml(text, path)), path, "XML")
     elif Path(path).suffix.lower() == ".json":
         data = parse_json(text, path)
     else:
-        data = _parse_yaml(text, where)
-    return Fields(data, where)
+        data = parse_data(partial(_parse_yaml, text), path, "YAML")
+    return Fields(data, repr(str(path)))
 
 
-def _parse_yaml(text: str, where: str) -> Any:
+def _parse_yaml(text: str) -> Any:
     if len(text) > MOST_YAML:
-        raise ValueError(f"`path`: expected YAML of at most {MOST_YAML} bytes, got {where}: more")
+        raise ValueError(f"more than {MOST_YAML} characters")
     plain = re.sub(r"\A\s*%YAML:.*", "", text)
     try:
         for event in yaml.parse(plain, _Loader):  # by aliases a small file grows without bound
             if isinstance(event, yaml.AliasEvent):
                 raise _wrong("an alias (*name), which is not read", event)
-        data = yaml.load(plain, _Loader)
+        return yaml.load(plain, _Loader)
     except yaml.MarkedYAMLError as error:
         mark = error.context_mark or error.problem_mark
         line = 0 if mark is None else mark.line
         shown = text.splitlines()[line : line + 1] or [""]
-        words = f"line {line + 1}: expected YAML, got {short(shown[0])}: {error.problem}"
-        raise ValueError(f"{words[:400]} (in {where})") from None
-    except (yaml.YAMLError, RecursionError) as error:
-        words = str(error).partition("\n")[0][:200]
-        raise ValueError(f"`path`: expected YAML, got {where}: {words}") from None
-    if is_deep(data):
-        raise ValueError(f"`path`: expected YAML of at most {MOST_DEPTH} levels, got {where}: more")
-    return data
+        words = f"line {line + 1}, {short(shown[0])}: {error.problem}"
+    except yaml.YAMLError as error:
+        words = str(error)
+    raise ValueError(words[:400])
 
 
-def _xml_value(element: ET.Element, where: str, depth: int = 0) -> Any:
+def _xml_value(element: ET.Element) -> Any:
     """Return an element's value: a map of its children, a list, a text or a number."""
-    children = list(element)
-    if depth > MOST_DEPTH:
-        raise ValueError(f"`path`: expected XML of at most {MOST_DEPTH} levels, got {where}: more")
-    values = [_xml_value(child, where, depth + 1) for child in children]
-    names = [child.tag for child in children]
+    names, values = [child.tag for child in element], [*map(_xml_value, element)]
     if twice := first_repeat(name for name in names if name != "_"):
-        raise ValueError(f"`path`: expected XML, got {where}: the field {short(twice)} twice")
-    if names and set(names) != {"_"}:
+        raise ValueError(f"the field {short(twice)} twice")
+    if {*names} - {"_"}:
         return dict(zip(names, values, strict=True))
     values += [_scalar(word) for word in PIECES.findall(element.text or "")]
-    return values[0] if len(values) == 1 and not children else values
+    return values[0] if len(values) == 1 and not names else values
 
 
 def _scalar(text: str) -> Any:

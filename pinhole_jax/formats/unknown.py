@@ -33,7 +33,7 @@ PROGRAMS = {
 
 def unknown(data: Any) -> str | None:
     """Return words on whose file this is: JSON or YAML, or the root of XML; None: nobody's."""
-    names = {data.rpartition("}")[2]} if isinstance(data, str) else _names(data)
+    names = {data.rpartition(":")[2]} if isinstance(data, str) else _names(data)
     for name in sorted(filter(CAMCHAIN.fullmatch, names)):
         if isinstance(data, Mapping) and name in data:
             return f"Kalibr's camchain (by its {name!r}): {INTRINSICS}"

@@ -1,27 +1,28 @@
 """`load_urdf`: a robot's file, and the shapes that it names.
 
-yourdfpy reads the URDF, `load_mesh` the meshes. It welds vertices by position: in a mesh whose
-faces share no vertices every edge would be a border.
+`load_mesh` reads the meshes. It welds vertices by position: in a mesh whose faces share no vertices
+every edge would be a border.
 """
 
-import io
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 
-from .._files.paths import FilePath, existing_file, read_bytes, reason
+from .._files.fields import Fields
+from .._files.paths import FilePath, as_path, parse_xml, read_bytes
+from .._numerics.arrays import Input
 from .._scene.scene import Mesh
 from ..io.meshes import load_mesh
 from .packages import check_packages, mesh_path
 from .robot import Robot
-from .urdf import plain_urdf
+from .urdf import read_urdf, read_visual
 
 
 def load_urdf(
     path: FilePath,
     leave_out: Sequence[str] = (),
-    packages: Mapping[str, FilePath] | None = None,
+    packages: Input[Mapping[str, FilePath] | None, "folders by name"] = None,
 ) -> Robot:
     """Return the robot of a URDF file: the visual shapes of its links, their meshes welded.
 
@@ -34,59 +35,49 @@ def load_urdf(
     that name. Lengths are the file's, as a rule metres. Joints that follow others (`mimic`) need no
     angle.
 
-    Raises ModuleNotFoundError without yourdfpy (`pip install pinhole-jax[robots]`), and
-    FileNotFoundError. Raises ValueError for files that are no URDF (SDF, xacro that is not
+    Raises FileNotFoundError, or ValueError for files that are no URDF (SDF, xacro that is not
     expanded), for shapes and joints that are not read (capsule; floating, planar), and for no
-    shapes or no such link.
+    shapes or no such link. Meshes in Collada need `pip install pinhole-jax[robots]`.
 
     ```python
     lamp = pj.robots.load_urdf("lamp.urdf")
     ```
     """
-    file = existing_file(path, "a URDF file")
-    folders = check_packages(packages)
+    file, folders, link, bodies = as_path(path), check_packages(packages), "", []
+    root = parse_xml(read_bytes(path, "a URDF file"), path, "a URDF file")
     try:
-        import yourdfpy
-    except ModuleNotFoundError as error:
-        words = "a URDF is read by yourdfpy: pip install 'pinhole-jax[robots]'"
-        raise ModuleNotFoundError(words, name=error.name) from error
-    try:
-        plain = plain_urdf(read_bytes(file, "a URDF file"), leave_out)
-        urdf = yourdfpy.URDF.load(io.BytesIO(plain), load_meshes=False)
-    except Exception as error:  # whatever a reader meets that it did not expect
-        raise ValueError(
-            f"`path`: expected a URDF file, got {str(path)!r}: {reason(error)}"
-        ) from error
-    if unknown := [link for link in leave_out if link not in urdf.link_map]:
-        known = ", ".join(urdf.link_map)
+        links, joints, visuals = read_urdf(root, leave_out)
+        for link, visual in visuals:
+            place, kind, shape = read_visual(visual, link)
+            find = lambda name: mesh_path(name, file, folders)
+            bodies.append((link, place, _shape(kind, shape, find)))
+        link = ""
+        robot = Robot(links, joints, bodies)
+    except (FileNotFoundError, ValueError) as error:
+        where = f"{str(path)!r}, link {link!r}" if link else repr(str(path))
+        raise type(error)(f"`path`: expected a URDF file, got {where}: {error}") from error
+    if unknown := [link for link in leave_out if link not in links]:
+        known = ", ".join(links)
         raise ValueError(f"`leave_out`: expected links among {known}, got {unknown[0]!r}")
-
-    bodies = []
-    for name, link in urdf.link_map.items():
-        for visual in link.visuals:
-            place = np.eye(4) if visual.origin is None else visual.origin
-            try:
-                find = lambda mesh: mesh_path(mesh, file, folders)
-                bodies.append((name, place, _shape(visual.geometry, find)))
-            except (FileNotFoundError, ValueError) as error:
-                words = f"`path`: {str(path)!r}, link {name!r}: {error}"
-                raise type(error)(words) from error
-    return Robot(urdf, bodies)
+    return robot
 
 
-def _shape(geometry: Any, find: Any) -> Mesh:
+def _shape(kind: str, shape: Fields, find: Callable[[str], Path]) -> Mesh:
     """Return the mesh of a link's shape, in the shape's frame."""
     from trimesh import creation
 
-    if geometry.mesh is not None:
-        mesh = load_mesh(find(geometry.mesh.filename))
-        scale = np.broadcast_to(1.0 if geometry.mesh.scale is None else geometry.mesh.scale, 3)
-        faces = np.asarray(mesh.faces)[:, :: -1 if np.prod(scale) < 0 else 1]
-        return Mesh(np.asarray(mesh.vertices) * scale.astype(mesh.vertices.dtype), faces)
-    if geometry.box is not None:
-        solid = creation.box(geometry.box.size)
-    elif geometry.cylinder is not None:
-        solid = creation.cylinder(geometry.cylinder.radius, geometry.cylinder.length)
+    if kind == "mesh":
+        solid = load_mesh(find(shape.text("filename")))
+    elif kind == "box":
+        size = shape.array("size", (3,))
+        if np.any(size <= 0):
+            raise shape.wrong("size", "positive numbers", size)
+        solid = creation.box(size)
+    elif kind == "cylinder":
+        solid = creation.cylinder(shape.positive("radius"), shape.positive("length"))
     else:
-        solid = creation.icosphere(3, geometry.sphere.radius)
-    return Mesh(np.asarray(solid.vertices, np.float32), np.asarray(solid.faces))
+        solid = creation.icosphere(3, shape.positive("radius"))
+    vertices, faces = np.asarray(solid.vertices), np.asarray(solid.faces)
+    scale = np.broadcast_to(shape.array("scale", (), (3,), default=1), 3)
+    faces = faces[:, :: -1 if np.prod(scale) < 0 else 1]
+    return Mesh(vertices * scale.astype(vertices.dtype), faces)

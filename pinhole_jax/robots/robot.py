@@ -1,18 +1,15 @@
-"""A robot: links whose poses follow from joint angles (yourdfpy's kinematics), and its scene."""
+"""A robot: links whose poses follow from joint angles, and its scene."""
 
-import threading
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 
+from .._camera.poses import exponential
 from .._numerics.arrays import ArrayLike, Input
 from .._scene.assembly import Assembly, Posture
 from .._scene.scene import Mesh, Scene
-
-if TYPE_CHECKING:
-    from yourdfpy import URDF
+from .urdf import Joint, following, from_root
 
 #: Of joints, by name or in their order: rad; of sliding ones m.
 Angles = Input[Mapping[str, float] | ArrayLike, "J"]
@@ -40,18 +37,16 @@ class Robot:
 
     def __init__(
         self,
-        urdf: Input["URDF", "yourdfpy's"],
+        links: Sequence[str],
+        joints: Mapping[str, Joint],
         bodies: Sequence[tuple[str, Float[np.ndarray, "4 4"], Mesh]],
     ):
-        self._urdf, self._posing = urdf, threading.Lock()
-        self.joints = tuple(urdf.actuated_joint_names)
-        moving = {name: urdf.joint_map[name] for name in self.joints}
-        self.sliding = tuple(n for n, joint in moving.items() if joint.type == "prismatic")
-        ends = {
-            n: joint.limit and (joint.limit.lower, joint.limit.upper) for n, joint in moving.items()
-        }
-        self.limits = {n: x for n, x in ends.items() if x and None not in x and x[0] < x[1]}
-        self._following = {n for n, j in urdf.joint_map.items() if j.mimic is not None}
+        self._links, self._joints = links, joints
+        self._from_root, self._following = from_root(links, joints), following(joints)
+        free = {n: x for n, x in joints.items() if np.any(x.twist) and not x.leader}
+        self.joints = (*free,)
+        self.sliding = tuple(name for name, joint in free.items() if np.any(joint.twist[3:]))
+        self.limits = {name: joint.limits for name, joint in free.items() if joint.limits}
         self._at = [(link, place) for link, place, _ in bodies]
         self.links = tuple(dict.fromkeys(link for link, _ in self._at))
         self._assembly = Assembly([mesh for _, _, mesh in bodies])
@@ -63,10 +58,15 @@ class Robot:
 
         Raises ValueError for angles that are missing, of unknown joints or not finite.
         """
-        checked, names = self._checked(angles), self._urdf.link_map
-        with self._posing:  # the file's own kinematics stand in one posture at a time
-            self._urdf.update_cfg(checked)
-            return {name: np.array(self._urdf.get_transform(name), float) for name in names}
+        known, poses = self._checked(angles), dict.fromkeys(self._links, np.eye(4))
+        for name in self._following:
+            joint = self._joints[name]
+            known[name] = joint.factor * known[joint.leader] + joint.offset
+        for name in self._from_root:
+            joint = self._joints[name]
+            moved = exponential(known.get(name, 0.0) * joint.twist)
+            poses[joint.child] = poses[joint.parent] @ joint.origin @ moved
+        return poses
 
     def scene(self, angles: Angles) -> Scene:
         """Return the robot with its joints at these angles (see `poses`)."""

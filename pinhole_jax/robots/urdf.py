@@ -1,99 +1,79 @@
-"""A URDF's XML, checked and cut down to what yourdfpy reads right: shapes that are seen, joints.
+"""A URDF's links, the joints between them and the shapes that are seen, from its XML."""
 
-yourdfpy moves only joints that follow a free one, and slides along an axis as long as it is
-written. It leaves out macros that xacro did not expand, and stops at unknown shapes.
-"""
+import xml.etree.ElementTree as ET
+from collections.abc import Collection, Mapping
+from graphlib import CycleError, TopologicalSorter
+from typing import NamedTuple
 
-import math
-import re
-from collections.abc import Collection
-from typing import Any
+import numpy as np
+from jaxtyping import Float
 
-#: The shapes, and the attributes that elements must have.
-SHAPES: dict[str, tuple[str, ...]] = {
-    "box": ("size",),
-    "cylinder": ("radius", "length"),
-    "mesh": ("filename",),
-    "sphere": ("radius",),
-}
-NEEDED: dict[str, tuple[str, ...]] = {
-    **SHAPES,
-    "link": ("name",),
-    "joint": ("name", "type"),
-    "parent": ("link",),
-    "child": ("link",),
-    "mimic": ("joint",),
-}
-#: How many numbers attributes are; sizes are positive.
-NUMBERS = {"xyz": 3, "rpy": 3, "size": 3, "scale": 3, "radius": 1, "length": 1}
-NUMBERS |= {"multiplier": 1, "offset": 1, "lower": 1, "upper": 1}
-SIZES = ("size", "radius", "length")
-READ = {"robot", "visual", "geometry", "origin", "axis", "limit", *NEEDED}
+from .._camera.poses import Pose, rigid
+from .._files.fields import Fields, attributes
+from .._files.paths import first_repeat
+
+SHAPES = ("box", "cylinder", "mesh", "sphere")
 #: Elements that xacro once had without a prefix, and those that describe no link or joint anew.
 OLD_XACRO = ("macro", "include", "property", "if", "unless", "arg", "insert_block")
 OTHERS = ("gazebo", "transmission", "ros2_control", "sensor")
 MOVING = ("revolute", "continuous", "prismatic")
 
 
-def plain_urdf(data: bytes, leave_out: Collection[str]) -> bytes:
-    """Return the URDF without links' shapes that are left out, and without what is not seen.
+class Joint(NamedTuple):
+    """A joint: its child is at `origin` in its parent, moved by a `twist` times its angle.
 
-    Raises ValueError, which names the link or joint.
+    The twist is a rotation vector and a translation, per rad or m. One that follows a `leader` has
+    `factor` times its angle, and `offset` (rad, m).
     """
-    from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
 
-    root = _root(data)
-    _check_groups(root)
-    root.set("name", root.get("name") or "robot")  # which yourdfpy wants, and nobody reads
-    collisions = root.find("link/collision") is not None
-    for element in [*root.iter()]:
-        shape = element.getparent() is not None and element.getparent().tag == "geometry"
-        left_out = element.tag == "visual" and element.getparent().get("name") in leave_out
-        if left_out or not (element.tag in READ or shape):
-            element.getparent().remove(element)
+    parent: str
+    child: str
+    origin: Pose
+    twist: Float[np.ndarray, "6"]
+    limits: tuple[float, float] | None
+    leader: str
+    factor: float
+    offset: float
 
-    links, joints = _named(root, "link"), _named(root, "joint")
+
+def read_urdf(
+    root: ET.Element, leave_out: Collection[str]
+) -> tuple[list[str], dict[str, Joint], list[tuple[str, ET.Element]]]:
+    """Return a URDF's links, its joints, and what is seen of links that are not left out.
+
+    Raises ValueError, which names the link or joint; for xacro and other files, too.
+    """
+    _check_plain(root)
+    links = _named(root, "link")
     if not links:
         raise ValueError("no <link> in <robot>, expected at least one")
-    _check_tree(links, joints)
-    _follow(joints)
-    if root.find("link/visual") is None:
-        words = "; <collision> shapes are not drawn: copy them as <visual>" if collisions else ""
+    joints = {name: _joint(name, joint) for name, joint in _named(root, "joint").items()}
+    shown = [name for name in links if name not in leave_out]
+    visuals = [(name, visual) for name in shown for visual in links[name].findall("visual")]
+    if not visuals:
+        words = "; <collision> shapes are not drawn: copy them as <visual>"
+        words *= root.find("link/collision") is not None
         raise ValueError(f"no link has a <visual> shape{words}")
-    return etree.tostring(root)
+    return [*links], joints, visuals
 
 
-def _root(data: bytes) -> Any:
-    """The file's <robot> element, tags without namespaces; ValueError for xacro and other files."""
-    from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
+def _check_plain(root: ET.Element) -> None:
+    """Check that it is a robot without xacro, and that links and joints lie where they are read.
 
-    parser = etree.XMLParser(
-        recover=True, resolve_entities=False, remove_comments=True, remove_pis=True
-    )
-    root = etree.fromstring(data, parser)
-    # (Simulators' elements with prefixes that nobody declared are common, and not read.)
-    faults = [fault for fault in parser.error_log if fault.domain_name != "NAMESPACE"]
-    if root is None or faults:
-        raise ValueError(f"no XML: {faults[0].message if faults else 'empty'}")
+    Tags lose their prefixes.
+    """
     for element in root.iter():
-        name = re.split("[}:]", element.tag)[-1]
-        if "xacro" in element.tag:
-            _refuse_xacro(f"<xacro:{name}>")
+        prefix, _, name = element.tag.rpartition(":")
+        if "xacro" in prefix + root.get(f"xmlns:{prefix}", ""):
+            raise _xacro(f"<xacro:{name}>")
         element.tag = name
     if root.tag != "robot":
         raise ValueError(f"<{root.tag}> in place of <robot>: export the robot as URDF")
-    return root
-
-
-def _check_groups(root: Any) -> None:
-    """Check that links and joints lie in <robot> itself, where they are read."""
     for group in root:
         if group.tag in OLD_XACRO:
-            _refuse_xacro(f"<{group.tag}>")
-        if group.tag in ("link", "joint", *OTHERS):
-            continue
-        for part in group.iter("link", "joint"):
-            if part.tag == "link" or part.find("parent") is not None:
+            raise _xacro(f"<{group.tag}>")
+        for part in group.iter() if group.tag not in ("link", "joint", *OTHERS) else ():
+            if part.tag == "link" or (part.tag == "joint" and part.find("parent") is not None):
                 raise ValueError(
                     f"{part.tag} {part.get('name')!r} is in <{group.tag}>, which no URDF has:"
                     " run `xacro robot.urdf.xacro > robot.urdf` if xacro makes it and load"
@@ -101,128 +81,115 @@ def _check_groups(root: Any) -> None:
                 )
 
 
-def _refuse_xacro(words: str) -> None:
-    raise ValueError(
+def _xacro(words: str) -> ValueError:
+    return ValueError(
         f"xacro that is not expanded, {words}: run `xacro robot.urdf.xacro > robot.urdf` and load"
         " robot.urdf"
     )
 
 
-def _named(root: Any, kind: str) -> dict[str, Any]:
-    """Return the links or joints by name, all that is in them checked."""
-    named: dict[str, Any] = {}
-    for element in root.findall(kind):
-        name = element.get("name")
-        for part in element.iter():
-            _read_attributes(part, f"{kind} {name!r}")
-        for visual in element.findall("visual"):
-            _check_shape(visual, name)
-        if name in named:
-            raise ValueError(f"two of {kind} {name!r}")
-        named[name] = element
-    return named
-
-
-def _read_attributes(element: Any, where: str) -> None:
-    """Check an element's attributes, write its numbers in Python's form, drop those not read."""
-    for name in NEEDED.get(element.tag, ()):
-        if not element.get(name):
-            raise ValueError(f"{where}: <{element.tag}> without `{name}`")
-    for name in {"effort", "velocity"} & {*element.attrib}:  # of a limit: not read
-        del element.attrib[name]
-    for name, text in element.attrib.items():
+def _fields(element: ET.Element, where: str, tag: str = ".") -> Fields:
+    """Return the attributes of an element or of a part, none where there is no such part."""
+    part = element.find(tag)
+    part = ET.Element(tag) if part is None else part
+    for name, text in part.items():
         if "${" in text or "$(" in text:
-            _refuse_xacro(f"{name}={text!r} of {where}")
-        if name in NUMBERS:
-            element.set(name, " ".join(map(repr, _numbers(element, name, where))))
+            raise _xacro(f"{name}={text!r} of {where}")
+    return attributes(part, where)
 
 
-def _numbers(element: Any, name: str, where: str = "", default: str = "0") -> list[float]:
-    text, count = element.get(name, default), NUMBERS[name]
-    try:
-        numbers = [float(word) for word in text.replace(",", " ").split()]
-    except ValueError:
-        numbers = []
-    right = len(numbers) == count or (name == "scale" and len(numbers) == 1)
-    positive = all(x > 0 for x in numbers) or name not in SIZES
-    if not (right and all(map(math.isfinite, numbers)) and positive):
-        kind = "positive" if name in SIZES else "finite"
-        words = f"{count} {kind} number{'s' * (count > 1)}"
-        raise ValueError(f"{where}: expected {words} in {name} of <{element.tag}>, got {text!r}")
-    return numbers
+def _named(root: ET.Element, kind: str) -> dict[str, ET.Element]:
+    """Return the links or joints by name."""
+    elements = root.findall(kind)
+    names = [_fields(element, "<robot>").text("name") for element in elements]
+    if (twice := first_repeat(names)) is not None:
+        raise ValueError(f"two of {kind} {twice!r}")
+    return dict(zip(names, elements, strict=True))
 
 
-def _check_shape(visual: Any, link: str) -> None:
-    shapes = [shape.tag for shape in visual.iterfind("geometry/*")]
-    if len(shapes) != 1 or shapes[0] not in SHAPES:
-        known, got = ", ".join(SHAPES), ", ".join(f"<{tag}>" for tag in shapes) or "none"
+def _origin(element: ET.Element, where: str) -> Pose:
+    """Return the pose of an element's <origin>."""
+    from scipy.spatial.transform import Rotation
+
+    origin = _fields(element, where, "origin")
+    xyz, rpy = (origin.array(name, (3,), default=0) for name in ("xyz", "rpy"))
+    return rigid(Rotation.from_euler("xyz", rpy).as_matrix(), xyz)
+
+
+def read_visual(visual: ET.Element, link: str) -> tuple[Pose, str, Fields]:
+    """Return the pose of a <visual> in its link's frame, its kind of shape, and that's sizes."""
+    where, shapes = f"link {link!r}", visual.findall("geometry/*")
+    if len(shapes) != 1 or shapes[0].tag not in SHAPES:
+        known, got = ", ".join(SHAPES), ", ".join(f"<{x.tag}>" for x in shapes) or "none"
         raise ValueError(
-            f"link {link!r}: expected one shape in the <geometry> of <visual> ({known}), got {got};"
+            f"{where}: expected one shape in the <geometry> of <visual> ({known}), got {got};"
             f" change it, or load the robot with `leave_out=[{link!r}]`"
         )
+    return _origin(visual, where), shapes[0].tag, _fields(shapes[0], where)
 
 
-def _check_tree(links: dict[str, Any], joints: dict[str, Any]) -> None:
-    """Check that joints are of kinds that an angle moves, and that they make one tree."""
-    parents: dict[str, str] = {}
-    for name, joint in joints.items():
-        _check_joint(joint, name)
-        parent, child = (joint.find(end).get("link") for end in ("parent", "child"))
-        if unknown := [link for link in (parent, child) if link not in links]:
-            raise ValueError(f"joint {name!r}: no link {unknown[0]!r}")
-        if child in parents:
-            raise ValueError(f"joint {name!r}: link {child!r} has a joint to {parents[child]!r}")
-        parents[child] = parent
-    roots = [link for link in links if link not in parents]
-    if len(roots) != 1:
-        got = f"{', '.join(roots)}: join them by fixed joints" if roots else "a circle of joints"
-        raise ValueError(f"expected one link that is no joint's child, got {got}")
-    reached = set(roots)
-    for _ in joints:
-        reached |= {child for child, parent in parents.items() if parent in reached}
-    if circle := [link for link in links if link not in reached]:
-        raise ValueError(f"link {circle[0]!r} is in a circle of joints")
-
-
-def _check_joint(joint: Any, name: str) -> None:
-    kind = joint.get("type")
+def _joint(name: str, joint: ET.Element) -> Joint:
+    where, kind = f"joint {name!r}", joint.get("type")
     if kind in ("floating", "planar"):
         raise ValueError(
-            f"joint {name!r} is {kind}, which no angle describes: make it fixed in the file, with"
-            " its place as <origin>"
+            f"{where} is {kind}, which no angle describes: make it fixed in the file, with its"
+            " place as <origin>"
         )
-    if kind not in (*MOVING, "fixed"):
-        raise ValueError(f"joint {name!r}: expected {', '.join(MOVING)} or fixed, got {kind!r}")
-    if missing := [end for end in ("parent", "child") if joint.find(end) is None]:
-        raise ValueError(f"joint {name!r}: expected a parent and a child, got no {missing[0]}")
-    axis = joint.find("axis")
-    if kind in MOVING and axis is not None:
-        own = _numbers(axis, "xyz", default="1 0 0")
-        if not any(own):
-            raise ValueError(f"joint {name!r}: expected an axis, got one of length 0")
-        axis.set("xyz", " ".join(repr(x / math.hypot(*own)) for x in own))
+    kind = _fields(joint, where).text("type", (*MOVING, "fixed"))
+    tags = ("parent", "child", "axis", "limit", "mimic")
+    parent, child, axis, limit, mimic = (_fields(joint, where, tag) for tag in tags)
+    along = axis.array("xyz", (3,), default=[1, 0, 0])
+    length = float(np.linalg.norm(along))
+    if kind in MOVING and not length:
+        raise axis.wrong("xyz", "an axis", "one of length 0")
+    turn, slide = kind in ("revolute", "continuous"), kind == "prismatic"
+    least, most = (limit.number(end, np.nan) for end in ("lower", "upper"))
+    follows = kind in MOVING and joint.find("mimic") is not None
+    return Joint(
+        parent.text("link"),
+        child.text("link"),
+        _origin(joint, where),
+        np.r_[turn * along, slide * along] / (length or 1),
+        (least, most) if least < most else None,
+        mimic.text("joint") if follows else "",
+        mimic.number("multiplier", 1),
+        mimic.number("offset", 0),
+    )
 
 
-def _follow(joints: dict[str, Any]) -> None:
-    """Let each joint that follows another name the free joint that it follows in the end."""
-    for name, joint in joints.items():
-        mimic = joint.find("mimic")
-        if mimic is None:
-            continue
-        if joint.get("type") == "fixed":
-            joint.remove(mimic)
-            continue
-        leader, chain, factor, offset = name, [], 1.0, 0.0
-        while (step := joints[leader].find("mimic")) is not None:
-            chain.append(leader)
-            offset += factor * _numbers(step, "offset")[0]
-            factor *= _numbers(step, "multiplier", default="1")[0]
-            leader = step.get("joint")
-            if leader not in joints or joints[leader].get("type") == "fixed":
-                kind = "is fixed" if leader in joints else "does not exist"
-                raise ValueError(f"joint {chain[-1]!r} follows {leader!r}, which {kind}")
-            if leader in chain:
-                raise ValueError(f"joints {', '.join(chain)} follow each other in a circle")
-        mimic.set("joint", leader)
-        mimic.set("multiplier", repr(factor))
-        mimic.set("offset", repr(offset))
+def from_root(links: Collection[str], joints: Mapping[str, Joint]) -> list[str]:
+    """Return the joints from the root on; ValueError where they make no tree of all links."""
+    above: dict[str, str] = {}
+    for name, (parent, child, *_) in joints.items():
+        if unknown := [link for link in (parent, child) if link not in links]:
+            raise ValueError(f"joint {name!r}: no link {unknown[0]!r}")
+        if child in above:
+            words = f"link {child!r} has a joint to {joints[above[child]].parent!r}"
+            raise ValueError(f"joint {name!r}: {words}")
+        above[child] = name
+    roots = [link for link in links if link not in above]
+    if len(roots) > 1:
+        got = f"{', '.join(roots)}: join them by fixed joints"
+        raise ValueError(f"expected one link that is no joint's child, got {got}")
+    order = _sorted("links", {joint.child: joint.parent for joint in joints.values()})
+    return [above[link] for link in order]
+
+
+def following(joints: Mapping[str, Joint]) -> list[str]:
+    """Return the joints that follow others, each behind its leader."""
+    leaders = {name: joint.leader for name, joint in joints.items() if joint.leader}
+    for name, leader in leaders.items():
+        if leader not in joints or not np.any(joints[leader].twist):
+            words = "is fixed" if leader in joints else "does not exist"
+            raise ValueError(f"joint {name!r} follows {leader!r}, which {words}")
+    return _sorted("joints", leaders)
+
+
+def _sorted(kind: str, before: Mapping[str, str]) -> list[str]:
+    """Return names, each behind the one before it; raise ValueError for circles."""
+    graph = TopologicalSorter({name: [other] for name, other in before.items()})
+    try:
+        return [name for name in graph.static_order() if name in before]
+    except CycleError as error:
+        names = ", ".join(sorted({*error.args[1]}))
+        raise ValueError(f"{kind} {names} follow each other in a circle") from None
