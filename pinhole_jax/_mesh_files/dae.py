@@ -30,7 +30,9 @@ def read_dae(data: bytes) -> Polygons:
         from collada import Collada
         from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
     except ModuleNotFoundError as error:
-        raise ValueError(f"Collada is read by pycollada and lxml ({error}): install them") from None
+        raise ValueError(
+            f"Collada is read by pycollada and lxml ({error}): pip install 'pinhole-jax[robots]'"
+        ) from None
 
     parser = etree.XMLParser(resolve_entities=False, huge_tree=True)
     root = etree.fromstring(data, parser)

@@ -81,8 +81,6 @@ def _local(node: Fields) -> np.ndarray:
     matrix = np.eye(4)
     if "rotation" in node:
         matrix[:3, :3] = node.rotation("rotation")
-    if "scale" in node:
-        matrix[:3, :3] *= node.array("scale", (3,))
-    if "translation" in node:
-        matrix[:3, 3] = node.array("translation", (3,))
+    matrix[:3, :3] *= node.array("scale", (3,), default=1)
+    matrix[:3, 3] = node.array("translation", (3,), default=0)
     return matrix

@@ -4,13 +4,15 @@ Files that it names (`mtllib`) are materials and not opened.
 """
 
 import re
+from itertools import compress
 
 import numpy as np
 
 from .numbers import COMMENT, parse_numbers, parse_points, strip_mark, word_counts
 from .polygons import Polygons
 
-#: Statements that add faces which are not read here.
+#: How statements begin that are read, and those that add faces which are not.
+VERTEX, FACE = (b"v ", b"v\t"), (b"f ", b"f\t")
 OTHER_SHAPES = (b"surf", b"call", b"csh", b"bzp", b"bsp", b"cdc", b"cdp", b"res")
 
 
@@ -28,21 +30,15 @@ def read_obj(data: bytes) -> Polygons:
         if statement in OTHER_SHAPES:
             raise ValueError(f"the statement {statement.decode()!r}: only polygons are read")
 
-    vertices = [line[2:] for line in lines if line.startswith((b"v ", b"v\t"))]
-    faces = [line[2:] for line in lines if line.startswith((b"f ", b"f\t"))]
+    is_vertex, is_face = (
+        np.array([line.startswith(kinds) for line in lines], bool) for kinds in (VERTEX, FACE)
+    )
+    faces = [line[2:] for line in compress(lines, is_face)]
     counts = word_counts(faces)
     text = re.sub(rb"/\S*", b"", b"\n".join(faces))  # without textures and normals
     corners = parse_numbers(text, int, "faces", int(np.sum(counts)))
     if np.any(corners == 0):
         raise ValueError("a face with the vertex 0; they are counted from 1")
-    if np.any(corners < 0):
-        back = np.repeat(_vertices_before_faces(lines), counts)
-        corners = np.where(corners < 0, corners + back + 1, corners)
-    return Polygons(parse_points(vertices), corners - 1, counts)
-
-
-def _vertices_before_faces(lines: list[bytes]) -> np.ndarray:
-    """Return the number of vertices above each face, (F,)."""
-    is_vertex = np.array([line.startswith((b"v ", b"v\t")) for line in lines])
-    is_face = np.array([line.startswith((b"f ", b"f\t")) for line in lines])
-    return np.cumsum(is_vertex)[is_face]
+    before = np.repeat(np.cumsum(is_vertex)[is_face], counts)
+    points = parse_points([line[2:] for line in compress(lines, is_vertex)])
+    return Polygons(points, np.where(corners < 0, corners + before, corners - 1), counts)

@@ -20,20 +20,16 @@ ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 CORNERS = ("vertex_indices", "vertex_index")
 
 
-class Property(NamedTuple):
-    """A column: its name, its type, and if it holds lists the type of their lengths."""
-
-    name: str
-    kind: np.dtype
-    length: np.dtype | None
+#: A column: its name, its type, and if it holds lists the type of their lengths.
+Column = tuple[str, np.dtype, np.dtype | None]
 
 
-class Element(NamedTuple):
-    """A table of `number` rows."""
+class Table(NamedTuple):
+    """What the header says of a table: its name, its number of rows, and its columns."""
 
     name: str
     number: int
-    properties: list[Property]
+    columns: list[Column]
 
 
 class Lists(NamedTuple):
@@ -49,24 +45,26 @@ def read_ply(data: bytes) -> Polygons:
     Raises ValueError for a header that is none, for fewer or more data than it says, and for faces
     without a list of vertices.
     """
-    elements, order, body = _header(data)
+    tables, order, body = _header(data)
     if order == "=":
         body = parse_numbers(body, float, "the rows").tobytes()
 
-    end, tables = 0, {}
-    for element in elements:
-        tables[element.name], end = _table(element, body, end)
+    end, columns = 0, {}
+    for table in tables:
+        if table.name in columns:
+            raise ValueError(f"the element {table.name!r} twice in its header")
+        columns[table.name], end = _columns(table, body, end)
     if end != len(body):
         raise ValueError(f"expected {end} bytes of rows as its header says, got {len(body)}")
 
-    points = _points(tables.get("vertex", {}))
-    faces = _corners(tables.get("face"), "face")
-    triangles = cut_strips(*_corners(tables.get("tristrips"), "tristrips"))
+    points = _points(columns.get("vertex", {}))
+    faces = _corners(columns.get("face"), "face")
+    triangles = cut_strips(*_corners(columns.get("tristrips"), "tristrips"))
     corners = np.concatenate([faces.values, triangles.ravel()])
     return Polygons(points, corners, np.concatenate([faces.counts, np.full(len(triangles), 3)]))
 
 
-def _header(data: bytes) -> tuple[list[Element], str | None, bytes]:
+def _header(data: bytes) -> tuple[list[Table], str | None, bytes]:
     """Return the tables that follow, their byte order, and their bytes."""
     data = strip_mark(data)
     end = re.match(rb"ply[ \t]*(\r\n|\n|\r)", data)
@@ -76,26 +74,22 @@ def _header(data: bytes) -> tuple[list[Element], str | None, bytes]:
     if not found:
         raise ValueError("no end of its header")
 
-    order, elements = None, []
+    order, tables = None, []
     for line in data[end.end() : found.start()].decode("latin-1").splitlines():
         match line.split():
             case ["format", name, "1.0"] if name in ORDERS:
                 order = ORDERS[name]
             case ["element", name, number] if number.isdecimal() and len(number) < 19:
-                elements.append(Element(name, int(number), []))
-            case ["property", "list", length, kind, name] if elements:
-                column = Property(name, _type(kind, order), _type(length, order))
-                elements[-1].properties.append(column)
-            case ["property", kind, name] if elements:
-                elements[-1].properties.append(Property(name, _type(kind, order), None))
+                tables.append(Table(name, int(number), []))
+            case ["property", "list", length, kind, name] if tables:
+                tables[-1].columns.append((name, _type(kind, order), _type(length, order)))
+            case ["property", kind, name] if tables:
+                tables[-1].columns.append((name, _type(kind, order), None))
             case [] | ["comment" | "obj_info", *_]:
                 pass
             case _:
                 raise ValueError(f"the line {line[:60]!r} in its header")
-    names = [element.name for element in elements]
-    if len({*names}) < len(names):
-        raise ValueError(f"an element twice in its header: {sorted(names)}")
-    return elements, order, data[found.end() :]
+    return tables, order, data[found.end() :]
 
 
 def _type(name: str, order: str | None) -> np.dtype:
@@ -107,21 +101,20 @@ def _type(name: str, order: str | None) -> np.dtype:
     return np.dtype("f8" if order == "=" else order + TYPES[name])
 
 
-def _table(element: Element, body: bytes, start: int) -> tuple[dict[str, Lists], int]:
+def _columns(table: Table, body: bytes, start: int) -> tuple[dict[str, Lists], int]:
     """Return the columns of a table that begins at byte `start`, and the byte at its end.
 
     Rows whose lists are as long as those of the current row are read at once: a run, looked for in
     twice as many rows as the one before had, so that many short ones take no longer.
     """
-    _, left, properties = element
-    runs, run = [], left
-    while left and properties:
-        row = _row(element, body, start)
+    runs, left, run = [], table.number, table.number
+    while left and table.columns:
+        row = _row(table, body, start)
         count = min(left, 2 * run, (len(body) - start) // row.itemsize)
         if count == 0:
-            raise _cut_short(element)
+            raise _cut_short(table)
         rows = np.frombuffer(body, row, count, start)
-        lists = [p.name for p in properties if p.length]
+        lists = [name for name, _, length in table.columns if length]
         same = [rows[f"{name} length"] == row[name].shape for name in lists]
         differs = np.flatnonzero(~np.all([np.ones(count, bool), *same], axis=0))
         run = int(differs[0]) if len(differs) else count
@@ -129,33 +122,33 @@ def _table(element: Element, body: bytes, start: int) -> tuple[dict[str, Lists],
         left, start = left - run, start + run * row.itemsize
 
     columns = {}
-    for name, *_ in properties:
+    for name, *_ in table.columns:
         lists = [rows[name] for rows in runs] or [np.empty((0, 0))]
         counts = np.repeat([x.shape[1] for x in lists], [len(x) for x in lists])
         columns[name] = Lists(np.concatenate([x.ravel() for x in lists]), counts)
     return columns, start
 
 
-def _row(element: Element, body: bytes, start: int) -> np.dtype:
+def _row(table: Table, body: bytes, start: int) -> np.dtype:
     """Return the type of the row at a byte: lists are as long as they are there."""
     fields: list[Any] = []
-    for p in element.properties:
-        length = 1
-        if p.length:
-            if start + p.length.itemsize > len(body):
-                raise _cut_short(element)
-            given = np.frombuffer(body, p.length, 1, start)[0]
+    for name, kind, length in table.columns:
+        count = 1
+        if length:
+            if start + length.itemsize > len(body):
+                raise _cut_short(table)
+            given = np.frombuffer(body, length, 1, start)[0]
             if not (given >= 0 and float(given).is_integer()):
-                raise ValueError(f"a list of {given} values in {element.name!r}")
-            fields.append((f"{p.name} length", p.length))
-            length, start = int(given), start + p.length.itemsize
-        fields.append((p.name, p.kind, (length,)))
-        start += length * p.kind.itemsize
+                raise ValueError(f"a list of {given} values in {table.name!r}")
+            fields.append((f"{name} length", length))
+            count, start = int(given), start + length.itemsize
+        fields.append((name, kind, (count,)))
+        start += count * kind.itemsize
     return np.dtype(fields)
 
 
-def _cut_short(element: Element) -> ValueError:
-    return ValueError(f"it ends before the {element.number} rows of {element.name!r}")
+def _cut_short(table: Table) -> ValueError:
+    return ValueError(f"it ends before the {table.number} rows of {table.name!r}")
 
 
 def _points(vertex: dict[str, Lists]) -> np.ndarray:

@@ -50,22 +50,19 @@ def merge(parts: Iterable[tuple[Polygons, np.ndarray]]) -> Polygons:
 
     Raises ValueError for corners that a part does not have, and for more than `MOST_CORNERS`.
     """
-    points, corners, counts, start, total = [np.empty((0, 3))], [], [], 0, 0
+    none, start, total = np.empty(0, int), 0, 0
+    moved = [Polygons(np.empty((0, 3)), none, none)]
     for part, place in parts:
-        number = len(part.points)
-        total += number + len(part.corners)
+        points, corners, counts = check_corners(part)
+        total += len(points) + len(corners)
         if total > MOST_CORNERS:
             raise ValueError(f"expected at most {MOST_CORNERS} corners in all, got more")
-        check_corners(part)
-        still = np.array_equal(place, np.eye(4))
-        points.append(part.points if still else part.points @ place[:3, :3].T + place[:3, 3])
+        if not np.array_equal(place, np.eye(4)):
+            points = points @ place[:3, :3].T + place[:3, 3]
         step = -1 if np.linalg.det(place[:3, :3]) < 0 else 1
-        corners.append(start + part.corners[::step])
-        counts.append(part.counts[::step])
-        start += number
-    none = np.empty(0, int)
-    joined = (np.concatenate([none, *arrays]) for arrays in (corners, counts))
-    return Polygons(np.concatenate(points), *joined)
+        moved.append(Polygons(points, start + corners[::step], counts[::step]))
+        start += len(points)
+    return Polygons(*map(np.concatenate, zip(*moved, strict=True)))
 
 
 def triangulate(polygons: Polygons) -> Int[np.ndarray, "T 3"]:
@@ -82,8 +79,8 @@ def triangulate(polygons: Polygons) -> Int[np.ndarray, "T 3"]:
         return _without_joints(corners.reshape(-1, 3))
 
     starts = np.cumsum(counts) - counts
-    triangles, owners, left = [np.empty((0, 3), int)], [np.empty(0, int)], MOST_STEPS
-
+    ends, left = np.cumsum(np.maximum(counts - 2, 0)), MOST_STEPS
+    triangles = np.empty((ends[-1] if len(ends) else 0, 3), int)
     for count in np.unique(counts[counts >= 3]).tolist():
         alike = np.flatnonzero(counts == count)
         shared = corners[starts[alike, None] + np.arange(count)]
@@ -98,11 +95,9 @@ def triangulate(polygons: Polygons) -> Int[np.ndarray, "T 3"]:
                     " take more than seconds to cut"
                 )
             local[k] = _cut(space[k], int(alike[k]) + 1)
-        triangles.append(np.take_along_axis(shared[:, None], local, axis=2).reshape(-1, 3))
-        owners.append(np.repeat(alike, count - 2))
-
-    order = np.argsort(np.concatenate(owners), kind="stable")
-    return _without_joints(np.concatenate(triangles)[order])
+        rows = ends[alike, None] - np.arange(count - 2, 0, -1)
+        triangles[rows] = np.take_along_axis(shared[:, None], local, axis=2)
+    return _without_joints(triangles)
 
 
 def cut_strips(corners: Int[np.ndarray, "K"], counts: Int[np.ndarray, "S"]) -> np.ndarray:
