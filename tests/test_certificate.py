@@ -41,6 +41,26 @@ def blob(camera, scene):
     return jnp.exp(-((column[None] - x) ** 2 + (row[:, None] - y) ** 2) / 40)
 
 
+class Flawed(eqx.Module):
+    """The blob with flaws that are data, so that all share one program: a kink of this height where
+    the eye's x has a value; too steep a slope there; a share of the camera's derivatives alone."""
+
+    x: Any
+    kink: Any
+    steep: Any
+    share: Any
+
+    def __call__(self, camera, scene):
+        x, known = camera.e[0], lambda v: self.share * v + (1 - self.share) * stop_gradient(v)
+        image = blob(jax.tree.map(known, camera), scene) + self.kink * jnp.abs(x - self.x)
+        return image + self.steep * (x - stop_gradient(x))
+
+
+def certified(camera=CAMERA, scene=SCENE, x=9.0, kink=0.0, steep=0.0, share=1.0, **more):
+    image = Flawed(*jnp.array([x, kink, steep, share]))
+    return pj.check_gradients(camera, scene, image, verbose=False, **more)
+
+
 @pytest.mark.full
 def test_silhouette_of_a_bumpy_mesh_through_a_lens_passes(capsys):
     found = pj.check_gradients(
@@ -68,9 +88,7 @@ def test_silhouette_of_spheres_in_float32_passes():
 
 def test_float32_without_x64_takes_longer_steps():
     with jax.enable_x64(False):
-        found = pj.check_gradients(*SINGLE, blob, verbose=False)
-        wrong = lambda camera, scene: blob(stop_gradient(camera), scene)
-        failed = pj.check_gradients(*SINGLE, wrong, verbose=False)
+        found, failed = (certified(*SINGLE, share=share) for share in (1.0, 0.0))
     assert found.passed, found
     assert min(row.step for row in found.rows) > 1e-4
     assert {"e.x", "p.y", "phi"} < set(failures(failed))
@@ -180,51 +198,35 @@ def test_image_that_is_not_finite_or_does_not_move_fails(wrong, verdict):
     assert ("FAILED: nothing moves the image" in str(found)) == (verdict == "moves nothing")
 
 
-class Kinked(eqx.Module):
-    """The blob, with a kink where the eye's x has a value; and how much too steep it is there."""
-
-    x: Any
-    steep: Any
-
-    def __call__(self, camera, scene):
-        x = camera.e[0]
-        return blob(camera, scene) + jnp.abs(x - self.x) + self.steep * (x - stop_gradient(x))
-
-
-def kinked(x, steep=0.0):
-    return pj.check_gradients(CAMERA, SCENE, Kinked(*jnp.array([x, steep])), verbose=False)
-
-
 def test_camera_at_a_kink_is_undecided():
     """The derivative lies between the slopes to either side, which says little: no pass."""
-    found = kinked(0.3)
+    found = certified(x=0.3, kink=1.0)
     assert failures(found) == {"e.x": "undecided"}
     assert found.rows[0].kinks == W * H
     assert not found.passed
     assert str(found).startswith("UNDECIDED: at a kink in e.x; move the camera a little\n")
-    assert failures(kinked(0.3, 2.0)) == {"e.x": "wrong derivative"}
+    assert failures(certified(x=0.3, kink=1.0, steep=2.0)) == {"e.x": "wrong derivative"}
 
 
 @pytest.mark.parametrize("steps", [0.9, 0.6, 0.3, -0.2])
 def test_kink_beside_the_camera_is_no_fault(steps):
     """A smaller step does not meet it, and the slope at the camera itself is found."""
-    step = kinked(9.0).rows[0].step
-    found = kinked(0.3 + steps * step)
+    step = certified().rows[0].step
+    beside = {"x": 0.3 + steps * step, "kink": 1.0}
+    found = certified(**beside)
     assert found.passed, found
     assert found.rows[0].kinks == 0
-    assert failures(kinked(0.3 + steps * step, 0.01)) == {"e.x": "wrong derivative"}
+    assert failures(certified(**beside, steep=0.01)) == {"e.x": "wrong derivative"}
 
 
 def test_certificate_prints_as_a_table():
-    image = lambda camera, scene: blob(stop_gradient(camera), scene)
-    lines = str(pj.check_gradients(CAMERA, SCENE, image, directions=1, verbose=False)).split("\n")
+    lines = str(certified(share=0.0, directions=1)).split("\n")
     assert lines[0].startswith("FAILED: 9 of 13 derivatives (e.x, e.y, e.z, p.x,")
     assert lines[1].split() == [*pj.Certificate.__annotations__["rows"].__args__[0]._fields]
     assert len(lines) == 2 + 13
     at = lines[1].index("verdict")
     assert {line[at:] for line in lines[2:]} == {"ok", "wrong derivative", "moves nothing"}
-    found = pj.check_gradients(CAMERA, SCENE, blob, directions=3, verbose=False)
-    assert str(found).startswith("passed: 17 derivatives, forward and reverse\n")
+    assert str(certified(directions=3)).startswith("passed: 17 derivatives, forward and reverse\n")
 
 
 test_bad_input_is_refused = refuses(
@@ -233,7 +235,7 @@ test_bad_input_is_refused = refuses(
     {
         r"`image`: .* \(24, 32\), got .*\(32, 24\)": {"image": lambda c, s: jnp.zeros((W, H))},
         "`image`: .* got int64 of shape": {"image": lambda c, s: jnp.zeros((H, W), int)},
-        "`image`: .* got tuple": {"image": lambda c, s: (blob(c, s),)},
+        "`image`: .* got tuple": {"image": lambda c, s: (c.phi,)},
         "`tolerance`: expected a positive number, got 0.0": {"tolerance": 0.0},
         "`directions`: expected at least 1, got 0": {"directions": 0},
     },
