@@ -48,7 +48,7 @@ def pytest_configure(config):
 
 
 @pytest.hookimpl(optionalhook=True)
-def pytest_xdist_auto_num_workers() -> int:
+def pytest_xdist_auto_num_workers():
     """Return the number of workers of `-n auto`: each takes about 1 GB."""
     return min(os.cpu_count() or 1, 8)
 
@@ -70,7 +70,7 @@ def both_ways(request):
 
 
 @pytest.fixture
-def exhaustive(pytestconfig) -> bool:
+def exhaustive(pytestconfig):
     """Whether tests are to run at full size."""
     return pytestconfig.option.exhaustive
 
@@ -86,7 +86,7 @@ def pytest_collection_modifyitems(config, items):
 
 
 @pytest.fixture
-def shared() -> Path:
+def shared():
     """The folder of real meshes and photos; tests that need it are skipped where it is not."""
     if not SHARED.exists():
         pytest.skip(f"no real data at {SHARED}")
@@ -108,7 +108,7 @@ def compiled():
         jax.monitoring.unregister_event_duration_listener(listen)
 
 
-def memory_maps() -> int:
+def memory_maps():
     """Return the number that the process has; where that is unknown, more than are kept."""
     maps = Path("/proc/self/maps")
     return maps.read_bytes().count(b"\n") if maps.exists() else KEPT

@@ -35,13 +35,13 @@ LOOK, CALL = eqx.filter_jit(look), eqx.filter_jit(_call)
 class Random:
     """Arrays as hostile as bits can make them."""
 
-    def __init__(self, seed: int):
+    def __init__(self, seed):
         self.bits = np.random.default_rng(seed)
         #: Decides on shapes alone: of few, so that JAX compiles little.
         self.shapes = np.random.default_rng(seed % SHAPES)
         self.kind = self.shapes.choice([np.float32, np.float64])
 
-    def reals(self, *shape: int) -> np.ndarray:
+    def reals(self, *shape):
         """Numbers of a few sorts in one array: plain, tiny, huge, equal, not finite, any bits."""
         plain = self.bits.normal(size=shape)
         scale = 10.0 ** self.bits.choice([0, 0, 0, 0, -30, 30, -300, 300], size=shape)
@@ -54,13 +54,13 @@ class Random:
             values = np.frombuffer(self.bits.bytes(values.nbytes), self.kind).reshape(shape)
         return values if self.bits.random() < 0.5 else plain.astype(self.kind)  # (that is drawn)
 
-    def integers(self, most: int, *shape: int) -> np.ndarray:
+    def integers(self, most, *shape):
         """Indices, a few of them out of range."""
         values = self.bits.integers(0, max(most, 1), size=shape)
         wrong = self.bits.random(shape) < self.bits.choice([0, 0, 0.05])
         return np.where(wrong, self.bits.integers(-(2**31), 2**31, size=shape), values).astype("i4")
 
-    def count(self, most: int, least: int = 0) -> int:
+    def count(self, most, least=0):
         """A number of things, often few or none."""
         return int(self.shapes.integers(least, least + self.shapes.choice([1, 2, 4, most])))
 
@@ -90,7 +90,7 @@ class View(NamedTuple):
     size: np.ndarray
 
 
-def view_of(random: Random) -> View:
+def view_of(random):
     V, F, E, S = (random.count(n) for n in (40, 60, 90, 12))
     W, H = (random.count(70, least=1) for _ in "WH")
     model = int(random.shapes.integers(0, 4))
@@ -111,7 +111,7 @@ def pushed_and_pulled(of, variables, constants, directions, weight):
     return both_ways(image, variables, directions, weight)
 
 
-def drawn(random: Random) -> None:
+def drawn(random):
     """An image of a view, its push and pull."""
     view = view_of(random)
     variables = Variables(view.film, view.lens, view.scene.vertices, view.frames)
@@ -143,7 +143,7 @@ def by_both(camera, scene, ways, weight):
     return found(coverage), found(in_arrays)
 
 
-def compare(camera, scene, random, close) -> None:
+def compare(camera, scene, random, close):
     """Assert that the library draws as arrays do: to this many px^2, of slopes 2000 times that."""
     normal = lambda x: jnp.asarray(random.normal(size=x.shape))
     ways = jax.tree.map(normal, eqx.filter((camera.e, scene), eqx.is_inexact_array))
@@ -153,14 +153,14 @@ def compare(camera, scene, random, close) -> None:
         assert_allclose(a, b, rtol=0, atol=most)
 
 
-def compared(random: Random) -> None:
+def compared(random):
     """A mesh of faces that share few vertices: its edges are of any number of them."""
     faces = random.bits.integers(0, 12, (20, 3))
     mesh = filled(random.bits.normal(size=(12, 3)), faces, 40)
     compare(random_camera(random.bits, 24, 18), pj.Scene(mesh), random.bits, 1e-12)
 
 
-def looked(random: Random) -> None:
+def looked(random):
     """A look at a view, and its pixels."""
     view = view_of(random)
     n, real = random.count(8, least=1), view.film.dtype
@@ -181,7 +181,7 @@ def looked(random: Random) -> None:
     assert np.all((found.coverage >= 0) & (found.coverage <= 1))
 
 
-def main() -> None:
+def main():
     """Try scenes for some time."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=60.0)

@@ -22,7 +22,7 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -32,25 +32,25 @@ import numpy as np
 import trimesh
 from PIL import Image
 
-atheris: Any = None
+atheris = None
 with contextlib.suppress(ModuleNotFoundError):
     atheris = importlib.import_module("atheris")
 
-SPEC: Any = find_spec("pinhole_jax")
+SPEC = find_spec("pinhole_jax")
 PACKAGE = Path(SPEC.origin).parent
 #: What atheris watches: it never frees what comparing two arrays results in, so that no code that
 #: works on pictures is among them. (Damaged TIFFs of 13 million pixels each filled the process.)
 READERS = ("_files/", "_mesh_files/", "formats/", "robots/", "io/rle", "io/text")
 
 
-def others() -> list[str]:
+def others():
     """The names of the modules that atheris does not watch."""
     names = [path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py")]
     names = [name.removesuffix(".py") for name in names if not name.startswith(READERS)]
     return [f"pinhole_jax/{name}".removesuffix("/__init__").replace("/", ".") for name in names]
 
 
-def watched() -> contextlib.AbstractContextManager:
+def watched():
     """In it, imported readers become such that atheris sees their branches."""
     if atheris is None:
         return contextlib.nullcontext()
@@ -72,7 +72,7 @@ URDF = b"""<robot name="r"><link name="a"><visual><geometry><box size="1 1 1"/><
 </link><link name="b"/><joint name="j" type="revolute"><parent link="a"/><child link="b"/>
 <axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
 #: Kinds of meshes, and how trimesh writes them.
-MESHES: dict[str, list[dict[str, Any]]] = {
+MESHES = {
     "obj": [{}],
     "ply": [{}, {"encoding": "ascii"}],
     "stl": [{}, {"file_type": "stl_ascii"}],
@@ -84,7 +84,7 @@ MESHES: dict[str, list[dict[str, Any]]] = {
 #: Compressions of a TIFF that not all modes have.
 COMPRESSED = {"jpeg": ("L", "RGB"), "group4": ("1",)}
 #: Kinds of pictures: Pillow's modes, and what they are saved with.
-PICTURES: dict[str, tuple[tuple[str, ...], list[dict[str, Any]]]] = {
+PICTURES = {
     "png": (("L", "1", "P", "RGBA", "I;16"), [{}]),
     "tiff": (
         ("L", "1", "RGB", "I;16", "F"),
@@ -105,7 +105,7 @@ class Target(NamedTuple):
     valid: list[bytes]
 
 
-def targets(folder: Path) -> dict[str, Target]:
+def targets(folder):
     """All readers by name."""
     kinds = [kind for kind in MESHES if kind != "dae" or find_spec("collada")]
     load_mesh = lambda path: pj.load_mesh(path, say=str)  # coarse steps are no error
@@ -125,20 +125,20 @@ def targets(folder: Path) -> dict[str, Target]:
     for kind in PICTURES:
         found[kind] = Target(f"mask.{kind}", pj.io.load_mask, [*pictures(mask, kind)])
     rle = json.dumps({"size": [80, 96], "counts": [100, 20, 7560]}).encode()
-    load: Any = pj.io.load_json
+    load = pj.io.load_json
     found["rle"] = Target("rle.json", lambda path: pj.io.mask_of_rle(load(path)), [rle])
     return found
 
 
-def meshes(kind: str) -> Iterator[bytes]:
+def meshes(kind):
     """A box as files of a kind, each as trimesh writes it."""
     for options in MESHES[kind]:
-        data: Any = trimesh.creation.box().export(**({"file_type": kind} | options))
+        data = trimesh.creation.box().export(**({"file_type": kind} | options))
         data = data["model.gltf"] if isinstance(data, dict) else data
         yield data if isinstance(data, bytes) else data.encode()
 
 
-def pictures(mask: np.ndarray, kind: str) -> Iterator[bytes]:
+def pictures(mask, kind):
     """A mask as files of a kind: each sort of pixels, each compression that Pillow writes."""
     modes, options = PICTURES[kind]
     grey = Image.fromarray(np.round(255 * mask[::4, ::4]).astype(np.uint8))
@@ -150,7 +150,7 @@ def pictures(mask: np.ndarray, kind: str) -> Iterator[bytes]:
             yield file.getvalue()
 
 
-def damaged(valid: list[bytes], random: np.random.Generator) -> bytes:
+def damaged(valid, random):
     """One of the files with one to four wounds."""
     data = valid[random.integers(len(valid))]
     for _ in range(random.integers(1, 5)):
@@ -176,11 +176,11 @@ class SlowError(BaseException):
     """Raised by the bell."""
 
 
-def ring(*_: Any) -> None:
+def ring(*_):
     raise SlowError(f"takes more than {SECONDS} s")
 
 
-def broken(target: Target, path: Path) -> BaseException | None:
+def broken(target, path):
     """The error that a reader's contract does not allow, if there is one."""
     signal.setitimer(signal.ITIMER_PROF, SECONDS)
     try:
@@ -198,14 +198,14 @@ def broken(target: Target, path: Path) -> BaseException | None:
         signal.setitimer(signal.ITIMER_PROF, 0)
 
 
-def guided(target: Target, path: Path, seconds: float, keep: Path) -> None:
+def guided(target, path, seconds, keep):
     """Read what libFuzzer makes of a valid file; ends the process, with 77 at a wrong error."""
     corpus = path.parent / "corpus"
     corpus.mkdir()
     for k, data in enumerate(target.valid):
         (corpus / str(k)).write_bytes(data)
 
-    def read(data: bytes) -> None:
+    def read(data):
         path.write_bytes(data)
         if (error := broken(target, path)) is not None:
             raise error
@@ -220,7 +220,7 @@ def guided(target: Target, path: Path, seconds: float, keep: Path) -> None:
     atheris.Fuzz()
 
 
-def at_random(target: Target, path: Path, seconds: float, keep: Path) -> None:
+def at_random(target, path, seconds, keep):
     """Read damaged files, and end the process with 1 at a wrong error."""
     chance, end = np.random.default_rng(0), time.process_time() + seconds
     for count in itertools.count():
@@ -234,13 +234,13 @@ def at_random(target: Target, path: Path, seconds: float, keep: Path) -> None:
             sys.exit(1)
 
 
-def limit_memory() -> None:
+def limit_memory():
     """Let this process have one more GB."""
     size = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (size + GB, size + GB))
 
 
-def main() -> int:
+def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=60, help="in all")
     parser.add_argument("--only", type=lambda names: names.split(","), default=None)

@@ -19,7 +19,7 @@ import _oracle
 from _scenes import View
 
 
-def view_of(camera: pj.Camera, scene: pj.Scene) -> View:
+def view_of(camera, scene):
     """Return the plain numbers of a camera and what it sees, in float64, whatever their type."""
     numbers = lambda thing, *names: {x: np.asarray(getattr(thing, x), float) for x in names}
     lens = camera.lens or pj.Lens([camera.W / 2, camera.H / 2])
@@ -40,26 +40,26 @@ def view_of(camera: pj.Camera, scene: pj.Scene) -> View:
     )
 
 
-def scene_polygons(camera: pj.Camera, scene: pj.Scene) -> list:
+def scene_polygons(camera, scene):
     """Return the projected triangles, and the outlines of spheres."""
     view = view_of(camera, scene)
     return [*_oracle.triangles(view), *_oracle.rims(view)]
 
 
-def union_per_pixel(polygons, W: int, H: int) -> np.ndarray:
+def union_per_pixel(polygons, W, H):
     """Return the area of a union of polygons within each pixel's square, row 0 on top."""
     return _oracle.union_per_pixel(np.array(polygons, dtype=object), np.ones((H, W), bool))
 
 
-def coverage(camera: pj.Camera, scene: pj.Scene) -> np.ndarray:
+def coverage(camera, scene):
     return union_per_pixel(scene_polygons(camera, scene), camera.W, camera.H)
 
 
-def mesh_coverage(camera: pj.Camera, vertices, faces) -> np.ndarray:
+def mesh_coverage(camera, vertices, faces):
     return coverage(camera, pj.Scene(pj.Mesh(vertices, faces)))
 
 
-def drawn(camera: pj.Camera, scene: pj.Scene) -> np.ndarray:
+def drawn(camera, scene):
     """Return a mask for a fit: of a mesh, to some 1e-13, by no program that a size or a mesh needs
     of its own; of spheres and under distortion what the package draws."""
     lens = camera.lens
@@ -71,7 +71,7 @@ def drawn(camera: pj.Camera, scene: pj.Scene) -> np.ndarray:
     return union_per_pixel(polygons, camera.W, camera.H)
 
 
-def central_difference(function, x: np.ndarray, step: float = 1e-5) -> np.ndarray:
+def central_difference(function, x, step=1e-5):
     """Return d function / d x, entry by entry; function returns a number or an array."""
     x = np.asarray(x, float)
     columns = []
@@ -88,7 +88,7 @@ def single(tree):
     return jax.tree.map(lambda x: x.astype(jnp.float32) if x.dtype == float else x, tree)
 
 
-def turned(camera: pj.Camera, axis, degrees: float, distance: float = 1.0, focal: float = 1.0):
+def turned(camera, axis, degrees, distance=1.0, focal=1.0):
     """Return the camera orbited about the origin; distance and focal length are multiples."""
     turn = np.deg2rad(degrees) * np.asarray(axis) / np.linalg.norm(axis)
     R, eye = Rotation.from_rotvec(turn).as_matrix(), np.asarray(camera.e, float)
@@ -97,12 +97,12 @@ def turned(camera: pj.Camera, axis, degrees: float, distance: float = 1.0, focal
     return there.replace(phi=camera.phi.dtype.type(phi))
 
 
-def usual_camera(W: int = 96, H: int = 80) -> pj.Camera:
+def usual_camera(W=96, H=80):
     """Return the camera that most tests look through: askew, 5 from a shape of size 1."""
     return pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, W, H)
 
 
-def filled(vertices, faces, room: int) -> pj.Mesh:
+def filled(vertices, faces, room):
     """Return the mesh with arrays of one size, so that all meshes share one program; what is added
     shows nowhere."""
     pad = lambda x, row: np.concatenate([x, np.repeat(row, room - len(x), 0)])
@@ -112,13 +112,13 @@ def filled(vertices, faces, room: int) -> pj.Mesh:
     return eqx.tree_at(edges, mesh, tuple(map(fill, edges(mesh))))
 
 
-def random_camera(random: np.random.Generator, W: int, H: int):
+def random_camera(random, W, H):
     eye = random.normal(size=3)
     eye *= 5 / np.linalg.norm(eye)
     return pj.Camera(eye, 0.1 * random.normal(size=3), random.normal(size=3), 0.6, 1.0, W, H)
 
 
-def random_rays(number: int, dtype=float):
+def random_rays(number, dtype=float):
     """Return origins (n, 3), 3 from the middle, and unit directions past it."""
     random = np.random.default_rng(0)
     origin = random.normal(size=(number, 3))

@@ -51,15 +51,15 @@ SHAPES = [
 ]  # fmt: skip
 
 
-def unit(x: np.ndarray) -> np.ndarray:
+def unit(x):
     return x / np.linalg.norm(x)
 
 
-def direction(random: np.random.Generator) -> np.ndarray:
+def direction(random):
     return unit(random.normal(size=3))
 
 
-def usual(random: np.random.Generator) -> View:
+def usual(random):
     """Return a view of a shape of size about 1 from some 3 to 6 sizes away."""
     vertices, faces = SHAPES[random.integers(len(SHAPES))]
     turned = vertices @ np.linalg.qr(random.normal(size=(3, 3)))[0]
@@ -68,14 +68,14 @@ def usual(random: np.random.Generator) -> View:
     return View(turned, faces, eye, 0.2 * random.normal(size=3), direction(random), phi, 1.0)
 
 
-def log_uniform(random: np.random.Generator, low: float, high: float) -> float:
+def log_uniform(random, low, high):
     return float(10 ** random.uniform(np.log10(low), np.log10(high)))
 
 
-def extreme(low: float, high: float, change: Callable[..., View]) -> Case:
+def extreme(low, high, change):
     """Return a case: a usual view, changed by a number of any size between two."""
 
-    def case(random: np.random.Generator) -> View:
+    def case(random):
         return change(usual(random), log_uniform(random, low, high), random)
 
     return case
@@ -151,35 +151,35 @@ def one_row(v, s, random):
 wide = extreme(1e-6, 1, lambda v, s, _: v._replace(phi=np.pi - s))
 
 
-def inside(random: np.random.Generator) -> View:
+def inside(random):
     eye, aim, phi = 0.1 * random.normal(size=3), direction(random), random.uniform(0.5, 2)
     return usual(random)._replace(e=eye, p=aim, phi=phi)
 
 
-def beside_a_box(eye: np.ndarray, aim: np.ndarray, phi: float) -> View:
+def beside_a_box(eye, aim, phi):
     vertices, faces = SHAPES[1]
     return View(vertices, faces, eye, aim, np.array([0.3, 1, 0.2]), phi, 1.0)
 
 
-def on_vertex_plane(random: np.random.Generator) -> View:
+def on_vertex_plane(random):
     """Vertices in the plane of the eye, others behind it."""
     eye = np.array([random.uniform(-2, 2), random.uniform(-2, 2), 0.5])
     return beside_a_box(eye, eye - [0, 0, 1], random.uniform(0.5, 2.5))
 
 
-def in_face_plane(random: np.random.Generator) -> View:
+def in_face_plane(random):
     eye = np.array([random.uniform(2, 4), random.uniform(-0.4, 0.4), 0.5])
     return beside_a_box(eye, np.zeros(3), 0.7)
 
 
-def on_the_grid(random: np.random.Generator) -> View:
+def on_the_grid(random):
     """A box whose outline runs along pixel rows and columns and through their corners."""
     v = beside_a_box(np.array([0, 0, 9.0]), np.zeros(3), np.pi / 2)
     size, place = [*random.integers(1, 12, 2), 1.0], [*random.integers(-3, 4, 2), -0.5]
     return v._replace(vertices=v.vertices * size + place, u=np.array([0, 1.0, 0]))
 
 
-def degenerate(random: np.random.Generator) -> View:
+def degenerate(random):
     """Faces of no area, faces twice, vertices twice, a T-junction."""
     v = usual(random)
     n, f = len(v.vertices), v.faces
@@ -189,7 +189,7 @@ def degenerate(random: np.random.Generator) -> View:
     return v._replace(vertices=np.concatenate([v.vertices, middle, v.vertices]), faces=faces)
 
 
-def sphere(random: np.random.Generator) -> View:
+def sphere(random):
     """A sphere of radius 1e-8 to 1e8; its outline is an ellipse."""
     r, s = log_uniform(random, 1e-8, 1e8), log_uniform(random, 1e-2, 1e6)
     eye = r * (1 + s) * direction(random)
@@ -201,7 +201,7 @@ def sphere(random: np.random.Generator) -> View:
     return View(np.zeros((1, 3)), faces, eye, aim, direction(random), phi, r, radius=r)
 
 
-CASES: dict[str, Case] = {
+CASES = {
     "size 1e-30 to 1e30": extreme(
         1e-30,
         1e30,
@@ -231,25 +231,25 @@ CASES: dict[str, Case] = {
 }
 
 
-def rounded(view: View, dtype: type) -> tuple[pj.Camera, np.ndarray]:
+def rounded(view, dtype):
     """Return camera and vertices in a float type."""
     numbers = (np.asarray(x, dtype) for x in view[2:7])
     return pj.Camera(*numbers, *view.size), view.vertices.astype(dtype)
 
 
-def scene_of(view: View, vertices: np.ndarray) -> pj.Scene:
+def scene_of(view, vertices):
     """Return the scene with arrays of one size, so that all share one program."""
     if view.radius:
         return pj.Scene(spheres=pj.Spheres(vertices, np.full(1, view.radius, vertices.dtype)))
     return pj.Scene(mesh=filled(vertices, view.faces, 256))
 
 
-def decimals(x: np.ndarray) -> np.ndarray:
+def decimals(x):
     """Return the exact values of floats."""
     return np.vectorize(lambda v: Decimal(float(v)), otypes=[object])(np.asarray(x))
 
 
-def film_matrix(camera: pj.Camera) -> np.ndarray:
+def film_matrix(camera):
     """Return the matrix from points about the eye to (x z, y z, z): Frisvad's equations in
     decimals of 60 digits."""
     e, p, u = (decimals(x) for x in (camera.e, camera.p, camera.u))
@@ -264,19 +264,19 @@ def film_matrix(camera: pj.Camera) -> np.ndarray:
                      focal * np.cross(b1, v) + camera.H * half * v, v])  # fmt: skip
 
 
-def film_points(camera: pj.Camera, points: np.ndarray) -> np.ndarray:
+def film_points(camera, points):
     """Return points as (x z, y z, z), the largest of them about 1."""
     film = (decimals(points) - decimals(camera.e)) @ film_matrix(camera).T
     return film / np.abs(film).max(axis=1, keepdims=True)
 
 
-def extended(x: np.ndarray) -> np.ndarray:
+def extended(x):
     """Return decimals as 80-bit numbers."""
     high = x.astype(float)
     return high.astype(Exact) + (x - decimals(high)).astype(float)
 
 
-def sphere_oracle(camera: pj.Camera, center: np.ndarray, radius: float) -> np.ndarray:
+def sphere_oracle(camera, center, radius):
     """Return the coverage of a sphere before the eye, by Green's theorem along its outline.
 
     The outline is the image of the circle where rays touch the sphere. It is cut at every line of
@@ -316,14 +316,14 @@ def sphere_oracle(camera: pj.Camera, center: np.ndarray, radius: float) -> np.nd
     return np.abs(own[:H, :W] + left[:H]).astype(float)[::-1]
 
 
-def oracle(camera: pj.Camera, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def oracle(camera, vertices, faces):
     """Return the coverage of the triangles' union, pixel by pixel (shapely)."""
     points = extended(film_points(camera, vertices))
     polygons = [polygon for face in faces for polygon in _oracle.clipped(points[face], camera)]
     return union_per_pixel(polygons, camera.W, camera.H)
 
 
-def worst(view: View, dtype: type) -> float:
+def worst(view, dtype):
     """Return the worst pixel's error; infinite where it is no number."""
     camera, vertices = rounded(view, dtype)
     if view.radius:

@@ -20,7 +20,7 @@ from pinhole_jax import shapes
 SCENE = pj.Scene(shapes.bumpy(3))
 
 
-def truth(seed: int) -> pj.Camera:
+def truth(seed):
     axes = Rotation.random(random_state=seed).as_matrix()
     e = -5 * axes[2]
     return pj.Camera(e, e + 5 * axes[2], axes[1], 0.6, 1.0, 96, 80)

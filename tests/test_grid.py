@@ -20,7 +20,7 @@ UP = np.array([[0, 1, 0], [1, 0, 0], [0, -1, 0], [-1, 0, 0]])
 SOME, MANY = 24, 400
 
 
-def camera(turn, dtype=float) -> pj.Camera:
+def camera(turn, dtype=float):
     """Return a camera that sees 16 pixels to a unit of z = 0, turned by this many right angles."""
     arrays = ([0, 0, 4], [0, 0, 0], UP[turn], 2 * np.arctan(0.25), 1.0)
     return pj.Camera(*(np.asarray(x, dtype) for x in arrays), W, H)
@@ -49,7 +49,7 @@ def sheets(random, step):
     return trimesh.util.append_faces(*zip(*parts, strict=True))
 
 
-def scene_of(vertices, faces, dtype=float) -> pj.Scene:
+def scene_of(vertices, faces, dtype=float):
     return padded(pj.Scene(pj.Mesh(vertices.astype(dtype), faces)))
 
 

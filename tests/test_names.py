@@ -29,7 +29,7 @@ def prose_and_names(path):
 TOLD = {path: prose_and_names(path) for path in SOURCES}
 #: The names in modules of the package, by their last name; formats and mesh files both have a
 #: `gltf`.
-MODULES: dict[str, set[str]] = defaultdict(set)
+MODULES = defaultdict(set)
 for path in [path for path in SOURCES if path.parts[0] == "pinhole_jax"]:
     MODULES[path.parent.name if path.stem == "__init__" else path.stem] |= TOLD[path][1]
     MODULES[path.parent.name].add(path.stem)

@@ -27,12 +27,12 @@ COLUMNS = np.arange(96) + 0.5
 SCENE = pj.Scene(shapes.bumpy(3))
 
 
-def anywhere(seed: int) -> pj.Camera:
+def anywhere(seed):
     axes = Rotation.random(random_state=seed).as_matrix()
     return pj.Camera(-5 * axes[2], np.zeros(3), axes[1], 0.6, 1.0, 96, 80)
 
 
-def behind_a_wall(truth, scene, share: float) -> tuple[np.ndarray, float]:
+def behind_a_wall(truth, scene, share):
     """Return the mask without what a wall on the left hides: a share of the object's width; and
     the wall's column."""
     inside = drawn(truth, scene) > 0.5
@@ -52,7 +52,7 @@ def test_offset_of_an_edge_does_not_depend_on_where_its_points_lie(phase):
     np.testing.assert_allclose(matched(edge, outline).off, 0.2, atol=0.01)
 
 
-def share_left(fit, scene, seen) -> float:
+def share_left(fit, scene, seen):
     return float(pj.iou(jnp.asarray(drawn(fit.camera, scene)), jnp.asarray(seen * 1.0)))
 
 
@@ -104,7 +104,7 @@ def test_occluder_that_mimics_another_view_is_not_called_certain(sign):
     assert pj.fit_camera(scene, seen, None, phi=0.6).status != "converged"
 
 
-def bracket() -> pj.Scene:
+def bracket():
     """Three plates that meet at a corner."""
     parts = [([1.6, 1.2, 0.15], [0, 0, 0]), ([0.15, 1.2, 0.9], [-0.72, 0, 0.5])]
     parts += [([0.9, 0.15, 0.5], [-0.3, 0.52, 0.3])]
@@ -112,7 +112,7 @@ def bracket() -> pj.Scene:
     return single(pj.Scene(pj.Mesh(trimesh.util.concatenate(plates))))
 
 
-def behind_a_half_plane(truth, scene, turn: float, least: float) -> np.ndarray:
+def behind_a_half_plane(truth, scene, turn, least):
     """Return the mask where rows and columns along a direction (rad) are at least so far."""
     row, column = np.mgrid[: truth.H, : truth.W]
     return (drawn(truth, scene) > 0.5) & (np.cos(turn) * row + np.sin(turn) * column >= least)

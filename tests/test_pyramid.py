@@ -15,7 +15,7 @@ from pinhole_jax._mask.mask import Mask
 from pinhole_jax._mask.target import object_window
 
 
-def disc(H: int, W: int) -> np.ndarray:
+def disc(H, W):
     """Return a soft disc that fills half the height."""
     y, x = np.ogrid[:H, :W]
     far = np.hypot(y - 0.45 * H, x - 0.4 * W)

@@ -14,7 +14,7 @@ from pinhole_jax import shapes
 SCENE = pj.Scene(shapes.bumpy(3))
 
 
-def anywhere(seed: int) -> pj.Camera:
+def anywhere(seed):
     """A camera 5 units from the origin, turned at random, the object not in the middle."""
     random = np.random.default_rng(seed)
     axes = Rotation.random(random_state=seed).as_matrix()

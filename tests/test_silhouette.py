@@ -108,7 +108,7 @@ def cameras(number, dtype=float, W=W, H=H):
         yield pj.Camera(*arrays, W, H)
 
 
-def in_scene(vertices, faces) -> pj.Scene:
+def in_scene(vertices, faces):
     return pj.Scene(mesh=filled(vertices, faces, max(20_000, len(vertices), len(faces))))
 
 

@@ -25,12 +25,12 @@ few = settings(
 )
 
 
-def image(view: stress.View) -> np.ndarray:
+def image(view):
     camera, vertices = stress.rounded(view, np.float64)
     return np.asarray(pj.silhouette(camera, stress.scene_of(view, vertices)))
 
 
-def drawn(seed: int) -> tuple[np.random.Generator, stress.View]:
+def drawn(seed):
     """Return one of the views in which rounding is worth no more than 1e-12 px."""
     random = np.random.default_rng(seed)
     cases = (stress.usual, stress.inside, stress.on_vertex_plane, stress.degenerate, stress.wide)

@@ -29,7 +29,7 @@ from pinhole_jax._files.exif import FieldOfView
 from pinhole_jax._studio import drawing, hand, session, strokes
 from pinhole_jax._studio.bench import Bench
 from pinhole_jax._studio.strokes import Stroke
-from pinhole_jax._studio.workpiece import Workpiece, mesh_file, photo_file, workpiece_of
+from pinhole_jax._studio.workpiece import mesh_file, photo_file, workpiece_of
 from pinhole_jax.batch.inputs import Start
 from pinhole_jax.show.page import png_of as png
 
@@ -40,39 +40,39 @@ FOCAL = H / 2 / np.tan(0.3)
 BENT = pj.Lens([30.0, 35.0], 1.1, pj.BrownConrady(-0.2, 0.05, 0.01, -0.02, 0.01))
 
 
-def camera(lens=None, e=(1.0, 1.5, 5.0), size=(W, H)) -> pj.Camera:
+def camera(lens=None, e=(1.0, 1.5, 5.0), size=(W, H)):
     return pj.Camera(list(e), [0.1, 0, 0], [0, 1, 0], 0.6, 1.0, *size, lens)
 
 
 @pytest.fixture(scope="module")
-def scene() -> pj.Scene:
+def scene():
     return pj.Scene(mesh=pj.shapes.bumpy(2))
 
 
 @pytest.fixture(scope="module")
-def mask(scene) -> np.ndarray:
+def mask(scene):
     return drawn(camera(), scene)
 
 
-def eight_bits(mask: np.ndarray) -> np.ndarray:
+def eight_bits(mask):
     return np.round(255 * mask).astype(np.uint8)
 
 
 @pytest.fixture
-def workpiece(scene, mask, tmp_path) -> Workpiece:
+def workpiece(scene, mask, tmp_path):
     mesh = trimesh.Trimesh(scene.mesh.vertices, scene.mesh.faces, process=False)
     mesh.export(tmp_path / "part.obj")
     pj.io.save_image(tmp_path / "photo.png", np.repeat(eight_bits(mask)[..., None], 3, axis=2))
     return workpiece_of(str(tmp_path / "part.obj"), str(tmp_path / "photo.png"))
 
 
-def begun(workpiece, folder, **known) -> Bench:
+def begun(workpiece, folder, **known):
     """Return a bench with a new session."""
     return Bench(workpiece, session.new_session(workpiece, Start(**known)), folder)
 
 
 @pytest.fixture
-def bench(workpiece, tmp_path) -> Bench:
+def bench(workpiece, tmp_path):
     return begun(workpiece, tmp_path / "out")
 
 
@@ -80,7 +80,7 @@ def put(bench, **changes):
     bench.session = bench.session._replace(**changes)
 
 
-def do(bench: Bench, action: str, /, **numbers):
+def do(bench, action, /, **numbers):
     """Return an action's answer, gone through JSON as the page's is."""
     pushed = []
     answer = bench.act(action, json.loads(json.dumps(numbers)), pushed.append)
@@ -132,7 +132,7 @@ CENTRE = np.array([0.2, -0.1, 0.3])
 POINTS = CENTRE + np.random.default_rng(2).normal(0, 0.3, (20, 3))
 
 
-def seen(camera: pj.Camera, points) -> np.ndarray:
+def seen(camera, points):
     return np.asarray(pj.project(camera, jnp.asarray(points)))
 
 
@@ -203,7 +203,7 @@ def test_numbers_for_the_shader_are_the_camera_as_opencv_has_it(bent):
     assert_allclose(found, seen(camera(lens), POINTS) * [1, -1] + [0, H], atol=1e-9)
 
 
-def bend(points) -> float:
+def bend(points):
     """Return by how much places through a lens stray from a line in space (px), by OpenCV."""
     K = np.array([[1.1 * FOCAL, 0, 30.0], [0, FOCAL, H - 35.0], [0, 0, 1]])
     distortion = np.array([*BENT.distortion.coefficients().values()])
@@ -248,7 +248,7 @@ def test_page_gets_mesh_and_photo(workpiece, scene):
 
 
 @pytest.fixture
-def kept(bench) -> dict:
+def kept(bench):
     """A session as its file holds it."""
     (path,) = do(bench, "save", name="work", free=["pose"])["written"]
     return json.loads(Path(path).read_text())
@@ -348,7 +348,7 @@ def test_view_guides_the_guess(bench, mask):
 
 
 @pytest.fixture
-def fitted(bench, mask) -> Bench:
+def fitted(bench, mask):
     do(bench, "load_mask", data=png(eight_bits(mask)))
     put(bench, camera=camera(e=(0.6, 1.8, 5.2)))
     return bench
@@ -398,7 +398,7 @@ def test_fit_blocks_other_actions_and_can_be_stopped(fitted):
 
 
 @pytest.fixture
-def unsaid(fitted) -> Bench:
+def unsaid(fitted):
     """A bench whose photo has no EXIF data, off by 20 % in its field of view: 0.7 for 0.6."""
     put(fitted, camera=hand.with_phi(camera(e=(0.6, 1.8, 5.2)), np.zeros(3), 0.7))
     return fitted
@@ -543,7 +543,7 @@ def test_requests_without_the_token_are_refused(bench):
 class Tab:
     """A tab's end of the line."""
 
-    def __init__(self, socket) -> None:
+    def __init__(self, socket):
         self.socket, self.count = socket, 0
 
     async def ask(self, name, **numbers):

@@ -14,14 +14,14 @@ from pinhole_jax._solver.problem import Problem
 FREE = ("pose", "phi")
 
 
-def problem_of(scene, data) -> Problem:
+def problem_of(scene, data):
     real = data.cells.dtype
     scene = jax.tree.map(lambda x: x.astype(real) if x.dtype.kind == "f" else x, scene)
     ball = Ball(jnp.zeros(3, real), jnp.ones((), real))
     return Problem(scene, jax.device_put(data), ball, None, no_prior(FREE, real))
 
 
-def taken(unit, scene, data, level, size=None) -> looks.View:
+def taken(unit, scene, data, level, size=None):
     """The view at a canonical camera; `size` as `look` has it."""
     if size is None and not is_available():
         pytest.skip("there is no library")
