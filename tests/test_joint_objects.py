@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 from arm import BOTH_EYES, OFF, SIZE, TRUTH, check_slope, grown, posture
+from numpy.testing import assert_allclose
 from oracles import central_difference, drawn
 
 import pinhole_jax as pj
@@ -95,7 +96,7 @@ def test_derivative_of_a_part_equals_refits(larger, noise, by_mesh):
         wrong = 0.01 * jnp.asarray(random.normal(size=vertices.shape))
         slope = check_slope(by_vertices, [vertices], [wrong], 1e-3, 1e-3)
         gradient = jax.grad(lambda v: by_vertices(v)[-1])(vertices)
-        np.testing.assert_allclose(jnp.sum(gradient * wrong), slope[-1], rtol=1e-6)
+        assert_allclose(jnp.sum(gradient * wrong), slope[-1], rtol=1e-6)
         return
     by_rest = lambda *given: answer(vertices, *given)
     turning = [(exponential(1e-5 * x) - exponential(-1e-5 * x)) / 2e-6 for x in twists]
@@ -119,13 +120,13 @@ def test_observability_of_several_views_equals_polygon_differences(arm, larger):
     both = lambda x: np.stack([shown(camera, x) for camera in BOTH_EYES.values()])
     J = central_difference(both, np.zeros(7)).reshape(-1, 7)
     information = J.T @ J / 0.1**2
-    np.testing.assert_allclose(told.std, np.sqrt(np.diag(np.linalg.inv(information))), rtol=1e-4)
+    assert_allclose(told.std, np.sqrt(np.diag(np.linalg.inv(information))), rtol=1e-4)
     # What is known beforehand adds to it.
     known = {"part": {"scale": (1.0, 1e-3), "y": (0.0, 2e-3)}}
     both = pj.joint_observability(views, BOTH_EYES, (), objects=place, prior=known)
     information[6, 6] += 1e-3**-2
     information[4, 4] += 2e-3**-2
-    np.testing.assert_allclose(both.covariance, np.linalg.inv(information), rtol=1e-3, atol=1e-9)
+    assert_allclose(both.covariance, np.linalg.inv(information), rtol=1e-3, atol=1e-9)
     # One eye does not tell a size from a distance.
     one = pj.joint_observability(views[:1], {"left": TRUTH}, (), objects=place)
     assert (one.rank, one.of, len(one.values)) == (6, 7, 7)

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from chosen import full
+from numpy.testing import assert_allclose
 from oracles import drawn
 from views import FREE, taken
 
@@ -72,13 +73,13 @@ def test_squares_sums_and_jacobian_are_those_of_the_image(given, whole_window):
         close = {"rtol": 1e-5, "atol": 1.0 if whole_window else 1e-3}
     least, most = (np.sum(weight * f(covered, target)) for f in (np.minimum, np.maximum))
     sums = [view.sums.squares, view.sums.overlap, view.sums.union]
-    np.testing.assert_allclose(sums, [np.sum(difference**2), least, most], **close)
-    np.testing.assert_allclose(view.sums.weight, np.sum(weight), rtol=1e-12)
+    assert_allclose(sums, [np.sum(difference**2), least, most], **close)
+    assert_allclose(view.sums.weight, np.sum(weight), rtol=1e-12)
     J, R, r = view.jacobian, view.triangle, view.pixels.residual
     for table, along in ((J, J.T @ r), (R, R.T @ view.along)):
-        np.testing.assert_allclose(table.T @ table, dense.T @ dense, **close)
-        np.testing.assert_allclose(along, dense.T @ difference.ravel(), **close)
-    np.testing.assert_allclose(coverage_of(view)[::-1], covered, **close)
+        assert_allclose(table.T @ table, dense.T @ dense, **close)
+        assert_allclose(along, dense.T @ difference.ravel(), **close)
+    assert_allclose(coverage_of(view)[::-1], covered, **close)
 
 
 def test_coarse_levels_are_means_of_blocks():
@@ -88,7 +89,7 @@ def test_coarse_levels_are_means_of_blocks():
     assert [(int(v.W), int(v.H)) for v in levels] == [(8, 12), (16, 25), (33, 50)]
     for level in levels:  # the target is the scene's own image: nothing is left at any level
         view = taken(canonical(camera), scene, data, level)
-        np.testing.assert_allclose(view.squares, 0, atol=1e-12)
+        assert_allclose(view.squares, 0, atol=1e-12)
         assert float(view.sums.overlap) > 0
 
 

@@ -184,4 +184,4 @@ def test_evidence_without_gross_offsets_equals_that_of_the_others():
     whole = ErrorModel(at, 0.1, (6.0, 40.0), shapes).evidence(offset, by_move, gross)
     some = ErrorModel(at[20:], 0.1, (6.0, 40.0), shapes).evidence(offset[20:], by_move[20:])
     for a, b in zip(whole, some, strict=True):
-        np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-9)
+        assert_allclose(a, b, rtol=1e-6, atol=1e-9)

@@ -3,7 +3,9 @@
 import jax
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from oracles import drawn, turned, usual_camera
+from refusals import refusal
 from scipy.ndimage import binary_dilation, gaussian_filter
 from scipy.spatial.transform import Rotation
 
@@ -50,7 +52,7 @@ def test_photo_corrects_a_grown_mask():
 
     floats = photo_of(SHOWN).astype(np.float32) / 255
     again = pj.fit_camera(SCENE, grown(SHOWN), START, photo=floats)
-    np.testing.assert_allclose(pj.pose_error(again.camera, fit.camera), 0, atol=1e-4)
+    assert_allclose(pj.pose_error(again.camera, fit.camera), 0, atol=1e-4)
 
 
 def test_right_mask_is_kept():
@@ -58,8 +60,8 @@ def test_right_mask_is_kept():
         by_mask = pj.fit_camera(SCENE, mask, START)
         fit = pj.fit_camera(SCENE, mask, START, photo=photo_of(SHOWN))
         assert "fitted to the mask: its edge" in fit.weak[-1]
-        np.testing.assert_array_equal(fit.camera.e, by_mask.camera.e)
-        np.testing.assert_array_equal(fit.covariance, by_mask.covariance)
+        assert_array_equal(fit.camera.e, by_mask.camera.e)
+        assert_array_equal(fit.covariance, by_mask.covariance)
 
 
 @pytest.mark.long
@@ -68,7 +70,7 @@ def test_colours_that_tell_nothing_leave_the_mask_alone():
     for photo in (photo_of(SHOWN, BACK, BACK), photo_of(np.roll(SHOWN, 120, axis=1))):
         fit = pj.fit_camera(SCENE, grown(SHOWN), START, photo=photo)
         assert "fitted to the mask: the photo shows" in fit.weak[-1]
-        np.testing.assert_array_equal(fit.camera.e, by_mask.camera.e)
+        assert_array_equal(fit.camera.e, by_mask.camera.e)
 
 
 def beside(masks, photos):
@@ -107,7 +109,7 @@ def test_photos_put_grown_masks_right_together():
 
 def test_view_with_a_bad_photo_is_named():
     views = beside([SHOWN, SHOWN], [None, PHOTO[:, :100]])
-    with pytest.raises(ValueError, match=r"`views\[1\]`: `photo`: expected .* \(160, 192, 3\)"):
+    with refusal(r"`views\[1\]`: `photo`: expected .* \(160, 192, 3\)"):
         pj.fit_joint(views, START)
 
 
@@ -134,7 +136,7 @@ PHOTO = np.zeros((160, 192, 3), np.uint8)
     ],
 )
 def test_photos_are_checked_at_the_door(photo, words):
-    with pytest.raises(ValueError, match=words):
+    with refusal(words):
         pj.fit_camera(SCENE, SHOWN, START, photo=photo)
 
 
@@ -142,5 +144,5 @@ def test_fit_on_a_photo_is_not_differentiated():
     def eye(target):
         return pj.fit_camera(SCENE, target, START, photo=photo_of(SHOWN)).camera.e[0]
 
-    with pytest.raises(ValueError, match="`photo`: expected none where the fit is differentiated"):
+    with refusal("`photo`: expected none where the fit is differentiated"):
         jax.grad(eye)(SHOWN)

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 from oracles import usual_camera
+from refusals import refusal
 
 import pinhole_jax as pj
 from pinhole_jax._files import progress
@@ -70,5 +70,5 @@ def test_notebooks_show_a_line_unless_they_are_told_not_to(monkeypatch):
 
 
 def test_progress_of_another_kind_is_refused():
-    with pytest.raises(ValueError, match="`progress`: expected True, False, None or a function"):
+    with refusal("`progress`: expected True, False, None or a function"):
         pj.fit_camera(SCENE, np.ones((40, 48)), CAMERA, progress="yes")

@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from PIL import Image
+from refusals import refusal
 from test_plot import AHEAD, SQUARE, fit_of, way_to
 
 import pinhole_jax as pj
@@ -126,9 +127,9 @@ def test_page_names_formats_that_cannot_hold_the_camera():
 
 
 def test_bad_arguments_of_a_page_are_refused():
-    with pytest.raises(ValueError, match="`fit`: expected a finite camera, got status non_finite"):
+    with refusal("`fit`: expected a finite camera, got status non_finite"):
         report.page(FIT._replace(status="non_finite"), SQUARE, MASK)
-    with pytest.raises(ValueError, match="`image`: expected the camera's size"):
+    with refusal("`image`: expected the camera's size"):
         report.page(FIT, SQUARE, MASK, np.zeros((9, 9), np.uint8))
 
 

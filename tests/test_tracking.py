@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 from oracles import drawn, turned, usual_camera
+from refusals import refusal
 
 import pinhole_jax as pj
 
@@ -47,5 +48,5 @@ def test_frames_are_tracked_from_one_to_the_next(frames, monkeypatch):
 
 
 def test_executor_beside_tracking_is_refused(frames):
-    with ThreadPoolExecutor(1) as threads, pytest.raises(ValueError, match="with `track`"):
+    with ThreadPoolExecutor(1) as threads, refusal("with `track`"):
         pj.fit_many(frames[0], executor=threads, track=True)
