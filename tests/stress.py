@@ -7,7 +7,6 @@ float32, 2.2e-16 in float64). A case holds where it is below `LIMIT` of them.
 """
 
 import decimal
-from collections.abc import Callable
 from decimal import Decimal
 from typing import NamedTuple
 
@@ -39,7 +38,6 @@ class View(NamedTuple):
     radius: float = 0.0  # of a sphere about the first vertex, in place of the faces
 
 
-Case = Callable[[np.random.Generator], View]
 SHAPES = [
     (np.asarray(shape.vertices), np.asarray(shape.faces))
     for shape in (

@@ -531,7 +531,7 @@ if __name__ == "__main__":
 @pytest.fixture
 def script(tmp_path):
     path = tmp_path / "script.py"
-    path.write_text(textwrap.dedent(SCRIPT))
+    path.write_text(SCRIPT)
     return path
 
 

@@ -33,7 +33,6 @@ from pinhole_jax._fit.words import STATUSES
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-EXPERIMENTS = "experiments"
 SHOWN = re.compile(r"^::: pinhole_jax\.([\w.]+)$", re.M)
 
 

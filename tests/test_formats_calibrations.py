@@ -30,44 +30,80 @@ def check_sees_as_opencv(path, model):
     assert_allclose(image_points(camera, POINTS), theirs + 0.5, rtol=0, atol=1e-8)
 
 
-MODELS = {
-    **dict.fromkeys(
-        ("fisheye_model: 1", "is_fisheye: true", "fisheye: yes", "camera_model: fisheye",
-         "distortion_model: equidistant", "model_type: KANNALA_BRANDT", "model: KannalaBrandt8",
-         "camera_model: pinhole\ndistortion_model: equidistant", "distortion_model: equi",
-         'distortion_type: "OPENCV_FISHEYE"', "lens_model: Kannala-Brandt", "lens: fisheye",
-         "type: equidistant", "projection: Equi", "calibration_type: fisheye",
-         "cameraModelType: KANNALA_BRANDT", "camera_model_type: kb4", "dist_model: fisheye",
-         "Camera.type: KannalaBrandt8", "type: opencv\nlens: fisheye"),
-        FISHEYE,
-    ),
-    **dict.fromkeys(
-        ("", "fisheye_model: 0", "fisheye: 'off'", "distortion_model: plumb_bob", "model: D435",
-         "distortion_model: radtan", "camera_model: radial-tangential", "camera_model: pinhole",
-         "distortion_model: rational_polynomial", "model_type: PINHOLE", "distance: 3",
-         "undistorted: true", "undistorted: 1", "distorted: 0", "is_distorted: 1",
-         "distribution: x", "distinct: 3", "12: [ 1, 2 ]", "D: ~", "D:", "D: null",
-         "fisheye_model: ~",
-         "lens: Kowa 8mm",
-         "type: stereo", "max_dist: 3.5", "k3: 0", "cam_dist: [ 0, 0 ]", "step_1: 3",
-         "RGBD: [ 1, 2 ]",
-         "undistorted_size: [ 3, 4 ]", "board: { width: 3, type: x }", "projection: perspective"),
-        BROWN,
-    ),
-}  # fmt: skip
+#: Lines of a file, by the model that they name; " + " parts two.
+NAMED = {
+    FISHEYE: """
+        fisheye_model: 1
+        is_fisheye: true
+        fisheye: yes
+        camera_model: fisheye
+        distortion_model: equidistant
+        model_type: KANNALA_BRANDT
+        model: KannalaBrandt8
+        camera_model: pinhole + distortion_model: equidistant
+        distortion_model: equi
+        distortion_type: "OPENCV_FISHEYE"
+        lens_model: Kannala-Brandt
+        lens: fisheye
+        type: equidistant
+        projection: Equi
+        calibration_type: fisheye
+        cameraModelType: KANNALA_BRANDT
+        camera_model_type: kb4
+        dist_model: fisheye
+        Camera.type: KannalaBrandt8
+        type: opencv + lens: fisheye
+    """,
+    BROWN: """
+        # nothing
+        fisheye_model: 0
+        fisheye: 'off'
+        distortion_model: plumb_bob
+        model: D435
+        distortion_model: radtan
+        camera_model: radial-tangential
+        camera_model: pinhole
+        distortion_model: rational_polynomial
+        model_type: PINHOLE
+        distance: 3
+        undistorted: true
+        undistorted: 1
+        distorted: 0
+        is_distorted: 1
+        distribution: x
+        distinct: 3
+        12: [ 1, 2 ]
+        D: ~
+        D:
+        D: null
+        fisheye_model: ~
+        lens: Kowa 8mm
+        type: stereo
+        max_dist: 3.5
+        k3: 0
+        cam_dist: [ 0, 0 ]
+        step_1: 3
+        RGBD: [ 1, 2 ]
+        undistorted_size: [ 3, 4 ]
+        board: { width: 3, type: x }
+        projection: perspective
+    """,
+}
+MODELS = {line.strip(): model for model, x in NAMED.items() for line in x.strip().splitlines()}
 
 
 @pytest.mark.parametrize("line", MODELS)
 def test_lens_model_is_the_one_that_a_calibration_names(tmp_path, line):
-    (tmp_path / "c.yaml").write_text(HEAD + MATRIX + COEFFICIENTS + f"{line}\n" + TAIL)
+    lines = line.replace(" + ", "\n")
+    (tmp_path / "c.yaml").write_text(f"{HEAD}{MATRIX}{COEFFICIENTS}{lines}\n{TAIL}")
     check_sees_as_opencv(tmp_path / "c.yaml", MODELS[line])
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["dist", "dist_coeff", "dist_coeffs", "distCoeffs", "DistCoeff", "distCoef", "D", "distortion",
-     "distortion_coefficients", "distortion_coeffs", "distortion_parameters"],
-)  # fmt: skip
+NAMES = """dist dist_coeff dist_coeffs distCoeffs DistCoeff distCoef D distortion
+    distortion_coefficients distortion_coeffs distortion_parameters"""
+
+
+@pytest.mark.parametrize("name", NAMES.split())
 def test_coefficients_have_many_names_and_forms(tmp_path, name):
     named = dict(zip(("k1", "k2", "p1", "p2"), BENT.tolist(), strict=True))
     tail = f"rvec: {TURN[:, None].tolist()}\ntvec: {SHIFT[:, None].tolist()}\n"

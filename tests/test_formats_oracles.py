@@ -214,27 +214,29 @@ def test_gltf_is_what_trimesh_writes(tmp_path):
 
 # Settings, and where Blender 4.5.15's `calc_matrix_camera` puts two points, in film coordinates;
 # Blender works in 32-bit floats.
-BLENDER = [
-    (("AUTO", 40, 30, 100, 1, 1), (11.428568, 6.785717, 17.941173, 20.44118)),
-    (("AUTO", 30, 41, 100, 1, 1), (6.214282, 12.080362, 12.889702, 26.07721)),
-    (("HORIZONTAL", 31, 40, 100, 1.5, 1), (8.85714, 10.450897, 13.904409, 26.325372)),
-    (("VERTICAL", 41, 30, 100, 1, 1.25), (10.455352, 4.01786, 20.224259, 20.404417)),
-    (("AUTO", 61, 51, 50, 1, 1.5), (6.964282, 7.366074, 13.06985, 15.900738)),
-]
+BLENDER = """
+    AUTO       40 30 100 1   1      11.428568  6.785717 17.941173 20.44118
+    AUTO       30 41 100 1   1       6.214282 12.080362 12.889702 26.07721
+    HORIZONTAL 31 40 100 1.5 1       8.85714  10.450897 13.904409 26.325372
+    VERTICAL   41 30 100 1   1.25   10.455352  4.01786  20.224259 20.404417
+    AUTO       61 51  50 1   1.5     6.964282  7.366074 13.06985  15.900738
+"""
 
 
-@pytest.mark.parametrize(("settings", "film"), BLENDER)
-def test_blender_recorded(tmp_path, settings, film):
-    names = ("sensor_fit", "resolution_x", "resolution_y", "resolution_percentage",
-             "pixel_aspect_x", "pixel_aspect_y")  # fmt: skip
-    fields = dict(zip(names, settings, strict=True)) | json.loads(
+@pytest.mark.parametrize("row", BLENDER.strip().splitlines())
+def test_blender_recorded(tmp_path, row):
+    fit, *numbers = row.split()
+    *settings, x, y, u, v = map(json.loads, numbers)
+    names = "resolution_x", "resolution_y", "resolution_percentage", "pixel_aspect_x"
+    fields = dict(zip((*names, "pixel_aspect_y"), settings, strict=True)) | json.loads(
         """{"lens": 40, "sensor_width": 32, "sensor_height": 20, "shift_x": 0.125,
         "shift_y": -0.0625, "matrix_world": [[0,0,1,4], [1,0,0,0.5], [0,1,0,0.25], [0,0,0,1]]}"""
     )
+    fields["sensor_fit"] = fit
     (tmp_path / "b.json").write_text(json.dumps(fields))
     camera = formats.read(tmp_path / "b.json")["camera"]
     points = jnp.array([[0.5, 0.25, -0.5], [-0.25, 0.75, 0.5]])
-    assert_allclose(pj.project(camera, points).ravel(), film, rtol=0, atol=1e-5)
+    assert_allclose(pj.project(camera, points), [[x, y], [u, v]], rtol=0, atol=1e-5)
 
 
 def test_script_and_json_say_the_same():
@@ -249,30 +251,24 @@ def test_script_and_json_say_the_same():
 # What transform_points_screen of PyTorch3D 0.7.4 gave (in float64) for two points: focal_length
 # (1.75, 2) and principal_point (0.125, -0.25) in NDC; FoVPerspectiveCameras of 50 degrees and
 # aspect_ratio 1.25.
-PYTORCH3D = [
-    (
-        (40, 40),
-        (23.991935483870968, 25.0, 9.545454545454547, 17.727272727272727),
-        (26.364343118931593, 20.0, 12.201793016328878, 12.201793016328875),
-    ),
-    (
-        (31, 20),
-        (17.495967741935484, 12.5, 10.272727272727273, 8.863636363636363),
-        (18.682171559465797, 10.0, 11.600896508164439, 6.100896508164437),
-    ),
-    (
-        (21, 30),
-        (12.595766129032258, 17.625, 5.011363636363637, 13.806818181818182),
-        (13.841280137439085, 15.0, 6.4059413335726605, 10.90594133357266),
-    ),
-]
+PYTORCH3D = np.loadtxt(
+    """
+    40 40  23.991935483870968 25      9.545454545454547  17.727272727272727
+    40 40  26.364343118931593 20     12.201793016328878  12.201793016328875
+    31 20  17.495967741935484 12.5   10.272727272727273   8.863636363636363
+    31 20  18.682171559465797 10     11.600896508164439   6.100896508164437
+    21 30  12.595766129032258 17.625  5.011363636363637  13.806818181818182
+    21 30  13.841280137439085 15      6.4059413335726605 10.90594133357266
+    """.splitlines()
+)
 
 
-@pytest.mark.parametrize(("size", "ndc", "fov"), PYTORCH3D)
-def test_pytorch3d_recorded(size, ndc, fov):
+@pytest.mark.parametrize("row", range(3))
+def test_pytorch3d_recorded(row):
+    (W, H, *ndc), (_, _, *fov) = PYTORCH3D[2 * row : 2 * row + 2]
     R, T = [[[-0.8, 0, -0.6], [0, 1, 0], [0.6, 0, -0.8]]], [[0.125, -0.25, 3]]
     points = np.array([[0.5, 0.25, -0.5], [-0.25, 0.75, 0.5]])
-    H_W = size[::-1]
+    H_W = int(H), int(W)
     lens = {"focal_length": [1.75, 2], "principal_point": [0.125, -0.25]}
     camera = formats.from_pytorch3d(R, T, H_W, **lens)
     assert_allclose(image_points(camera, points).ravel(), ndc, atol=1e-12)

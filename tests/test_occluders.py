@@ -121,12 +121,17 @@ def behind_a_half_plane(truth, scene, turn, least):
 def test_camera_that_is_turned_onto_a_cut_is_turned_back():
     """(Before runs of the edge were tried longer: at rest, 4.5 degrees and 4.9 sigma off.)"""
     scene = bracket()
-    right = [-8.3268557, 1.7026494, -4.7686687, 0.0034529, -0.0516916, -0.0251815]
-    right += [-0.3048744, 0.5848122, 0.7516956]
-    onto = [-8.7346344, 1.7331024, -4.1464629, -0.0596199, -0.0427979, -0.076726]
-    onto += [-0.2462805, 0.5786746, 0.7774841]
-    poses = np.reshape([right, onto], (2, 3, 3))
-    truth, camera = (single(pj.Camera(*pose, 0.6, 1.0, 256, 256)) for pose in poses)
+    truth, camera = (
+        single(pj.Camera(*np.loadtxt(pose.splitlines()), 0.6, 1.0, 256, 256))
+        for pose in (
+            """-8.3268557  1.7026494 -4.7686687
+                0.0034529 -0.0516916 -0.0251815
+               -0.3048744  0.5848122  0.7516956""",
+            """-8.7346344  1.7331024 -4.1464629
+               -0.0596199 -0.0427979 -0.0767260
+               -0.2462805  0.5786746  0.7774841""",
+        )
+    )
     seen = behind_a_half_plane(truth, scene, 2.7943, -82.277)
     mask = Mask(seen, np.ones(seen.shape), camera)
     solver = Solver.on(Subject.from_scene(scene, np.float32), mask, ("pose",), 64)
