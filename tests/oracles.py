@@ -56,7 +56,7 @@ def coverage(camera, scene):
 
 
 def mesh_coverage(camera, vertices, faces):
-    return coverage(camera, pj.Scene(pj.Mesh(vertices, faces)))
+    return coverage(camera, body(vertices, faces))
 
 
 def drawn(camera, scene):
@@ -100,6 +100,21 @@ def turned(camera, axis, degrees, distance=1.0, focal=1.0):
 def usual_camera(W=96, H=80):
     """Return the camera that most tests look through: askew, 5 from a shape of size 1."""
     return pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, W, H)
+
+
+def body(*mesh):
+    """Return the scene of a mesh: of vertices and faces, or of a mesh of trimesh's."""
+    return pj.Scene(pj.Mesh(*mesh))
+
+
+def lump(*given, **more):
+    """Return the scene of `shapes.bumpy` alone."""
+    return pj.Scene(pj.shapes.bumpy(*given, **more))
+
+
+def normal(shape, seed=0):
+    """Return independent normal numbers, the same for a seed."""
+    return np.random.default_rng(seed).normal(size=shape)
 
 
 def filled(vertices, faces, room):
