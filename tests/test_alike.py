@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import trimesh
 from chosen import first
+from oracles import normal
 from scipy.spatial.transform import Rotation
 
 from pinhole_jax._scene.alike import Alike
@@ -80,7 +81,7 @@ def test_smooth_body_has_no_facets():
         *(1e308 * np.eye(9, 3), 1.7e308 * np.random.default_rng(1).uniform(-1, 1, (2000, 3))),
         *(trimesh.creation.box(size).vertices for size in ([1.2, 1.32, 1.05], [1.7, 1.2, 0.08])),
         trimesh.creation.icosphere(3).vertices * [1.1, 0.8, 0.95],
-        *(np.random.default_rng(1).normal(size=(500, 3)) * x for x in ([1, 1, 0], [1, 0, 0])),
+        *(normal((500, 3), 1) * x for x in ([1, 1, 0], [1, 0, 0])),
     ],
 )
 def test_angular_body_has_no_axis(vertices):
@@ -116,7 +117,7 @@ def test_body_has_the_rotations_it_was_made_with(name, scale):
 
 def test_mesh_of_no_area_or_with_noise_has_no_rotations():
     ball = trimesh.creation.icosphere(3)
-    noise = np.random.default_rng(0).normal(size=ball.vertices.shape)
+    noise = normal(ball.vertices.shape)
     for vertices, faces in (
         (np.zeros((0, 3)), []),
         (np.zeros((3, 3)), [[0, 1, 2]] * 9),
