@@ -17,7 +17,7 @@ import pytest
 import trimesh
 from chosen import first
 from numpy.testing import assert_allclose, assert_array_equal
-from oracles import drawn
+from oracles import drawn, normal
 from PIL import Image
 from refusals import refusal, refuses
 from scipy.spatial.transform import Rotation
@@ -36,7 +36,7 @@ COUNT = 4
 @pytest.fixture(scope="module")
 def truths():
     """Cameras about a shape of radius 100."""
-    places = np.random.default_rng(0).normal(size=(COUNT, 3))
+    places = normal((COUNT, 3))
     places *= 520 / np.linalg.norm(places, axis=1, keepdims=True)
     return [pj.Camera(e, [0, 0, 0], [0.1, 1, 0.2], 0.6, 1.0, SIZE, SIZE) for e in places]
 
