@@ -10,11 +10,10 @@ import pytest
 from chosen import full
 from jax.custom_derivatives import linear_call
 from jax.lax import stop_gradient
-from oracles import single
+from oracles import lump, single
 from refusals import refusal, refuses
 
 import pinhole_jax as pj
-from pinhole_jax import shapes
 
 W, H = 32, 24
 
@@ -63,9 +62,7 @@ def certified(camera=CAMERA, scene=SCENE, x=9.0, kink=0.0, steep=0.0, share=1.0,
 
 @pytest.mark.full
 def test_silhouette_of_a_bumpy_mesh_through_a_lens_passes(capsys):
-    found = pj.check_gradients(
-        CAMERA.replace(lens=pj.Lens([17.0, 11.0], 1.1)), pj.Scene(shapes.bumpy(3))
-    )
+    found = pj.check_gradients(CAMERA.replace(lens=pj.Lens([17.0, 11.0], 1.1)), lump(3))
     assert found.passed, found
     axes = [f"{name}.{axis}" for name in "epu" for axis in "xyz"]
     lens = ["principal_point.x", "principal_point.y", "aspect"]
