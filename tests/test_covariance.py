@@ -4,7 +4,7 @@ import calibration
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from oracles import drawn, turned, usual_camera
+from oracles import body, drawn, normal, turned, usual_camera
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
@@ -36,16 +36,16 @@ def moved_camera(camera, world):
 
 def noisy(camera):
     mask = drawn(camera, pj.Scene(MESH))
-    return mask + 0.01 * np.random.default_rng(1).normal(size=mask.shape)
+    return mask + 0.01 * normal(mask.shape, 1)
 
 
 def one_view(world):
-    scene = pj.Scene(pj.Mesh(moved(MESH.vertices, world), MESH.faces))
+    scene = body(moved(MESH.vertices, world), MESH.faces)
     return pj.fit_camera(scene, noisy(CAMERA), moved_camera(CAMERA, world), ("pose", "phi"))
 
 
 def two_cameras(world):
-    scene = pj.Scene(pj.Mesh(moved(MESH.vertices, world), MESH.faces))
+    scene = body(moved(MESH.vertices, world), MESH.faces)
     given = {"a": CAMERA, "b": OTHER}
     views = [pj.JointView(scene, noisy(c), camera=name) for name, c in given.items()]
     starts = {name: moved_camera(c, world) for name, c in given.items()}
@@ -54,7 +54,7 @@ def two_cameras(world):
 
 def points(world):
     seen = np.asarray(pj.project(CAMERA, POINTS))
-    seen = seen + 0.2 * np.random.default_rng(2).normal(size=seen.shape)
+    seen = seen + 0.2 * normal(seen.shape, 2)
     return pj.fit_points(moved(POINTS, world), seen, moved_camera(CAMERA, world), ("pose", "phi"))
 
 
