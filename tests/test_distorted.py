@@ -10,7 +10,7 @@ import trimesh
 from chosen import first
 from jax.flatten_util import ravel_pytree
 from numpy.testing import assert_allclose
-from oracles import coverage
+from oracles import body, coverage, lump
 from slopes import both_ways
 
 import pinhole_jax as pj
@@ -60,7 +60,7 @@ def test_scene_through_the_eye_plane_is_clipped():
     v = np.asarray(pj.camera_basis(view).v)
     whole = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     ahead = whole.slice_plane(np.asarray(view.e) + 0.02 * v, v)
-    assert_allclose(image, coverage(view, pj.Scene(pj.Mesh(ahead))), atol=5e-3)
+    assert_allclose(image, coverage(view, body(ahead)), atol=5e-3)
 
 
 BALLS = pj.Spheres([[0.3, 0.2, 0.1], [-0.5, -0.3, 0.5], [1.2, -0.6, 0.2]], [0.5, 0.3, 0.4])
@@ -100,7 +100,7 @@ def test_derivatives_are_differences_of_the_oracle():
 @pytest.fixture(scope="module")
 def fitted():
     """Return scene, truth, mask, start, and the fit of pose and k1 to the exact mask."""
-    scene = pj.Scene(pj.shapes.bumpy(2))
+    scene = lump(2)
     start = pj.Camera([0.5, 0.2, 3.3], [0.05, 0, 0], [0, 1, 0.1], 0.7, W=96, H=72)
     lens = pj.Lens([48, 36], 1.0, pj.BrownConrady(-0.25))
     truth = start.replace(e=[0.3, 0.4, 3.2], p=[0, 0, 0], lens=lens)
