@@ -8,7 +8,7 @@ import pytest
 from chosen import first
 from jax.flatten_util import ravel_pytree
 from numpy.testing import assert_allclose
-from oracles import central_difference
+from oracles import central_difference, normal
 from refusals import refusal
 from slopes import both_ways
 
@@ -57,7 +57,7 @@ def test_derivatives_of_rays_and_projection_are_differences(model):
         directions = pj.camera_rays(moved).direction
         return jnp.concatenate([z.ravel() for z in (directions, pj.project(moved, points))])
 
-    up = np.random.default_rng(2).normal(size=len(image(flat)))
+    up = normal(len(image(flat)), 2)
     slopes = lambda way: both_ways(image, flat, way, up)[1:]
     slopes = jax.jit(jax.vmap(slopes, out_axes=(1, None)))
     forward, reverse = slopes(jnp.eye(len(flat)))
@@ -83,7 +83,7 @@ def along_a_line(model, radius):
 
 def wide(seed):
     """Two lenses at random."""
-    k = np.random.default_rng(seed).normal(size=5) * [0.2, 0.1, 0.003, 0.003, 0.02]
+    k = normal(5, seed) * [0.2, 0.1, 0.003, 0.003, 0.02]
     return pj.BrownConrady(*k), pj.Rational(0.3 + k[0], 0.02, 1e-3, -2e-4, 0.05, k[1], -0.1, 0.02)
 
 
