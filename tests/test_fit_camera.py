@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from chosen import first, full
 from numpy.testing import assert_allclose
-from oracles import drawn, random_camera, single, turned, usual_camera
+from oracles import drawn, lump, random_camera, single, turned, usual_camera
 from refusals import refusal, refuses
 from results import degrees
 
 import pinhole_jax as pj
-from pinhole_jax import formats, io, shapes
+from pinhole_jax import formats, io
 from pinhole_jax._solver.levenberg_marquardt import descended
 
-CAMERA, SCENE = usual_camera(), pj.Scene(shapes.bumpy(3))
+CAMERA, SCENE = usual_camera(), lump(3)
 EXACT = drawn(CAMERA, SCENE)
 
 
@@ -30,7 +30,7 @@ def cases(count):
 @pytest.mark.parametrize(("convert", "worst"), first(1, [(lambda x: x, 1e-6), (single, 5e-3)]))
 def test_pose_and_focal_length_from_exact_masks(convert, worst, exhaustive):
     for trial, truth, start in cases(20 if exhaustive else 2):
-        seen = pj.Scene(shapes.bumpy(4, trial % 4))
+        seen = lump(4, trial % 4)
         fit = pj.fit_camera(seen, drawn(truth, seen), convert(start), ("pose", "phi"))
         assert fit.status == "converged"
         assert degrees(fit, convert(truth)) < worst
@@ -148,7 +148,7 @@ def test_inverted_mask_is_no_success():
 
 @pytest.mark.parametrize("manner", [{"outlier_px": None}, full({})])
 def test_exact_mask_of_another_shape_is_a_misfit(manner):
-    other = pj.Scene(shapes.bumpy(3, 1))
+    other = lump(3, 1)
     fit = pj.fit_camera(SCENE, drawn(CAMERA, other), turned(CAMERA, [1, 2, 3], 5), **manner)
     assert fit.status == "misfit"
     assert any("of the outline" in words for words in fit.weak)
@@ -159,7 +159,7 @@ def test_meshes_and_images_of_similar_size_share_compiled_programs():
     pj.fit_camera(SCENE, EXACT, turned(CAMERA, [1, 2, 3], 5))
     programs = [descended._cached._cache_size()]
     for subdivisions, size in ((2, (300, 160)), (3, (90, 84))):
-        other = pj.Scene(shapes.bumpy(subdivisions, seed=1))
+        other = lump(subdivisions, seed=1)
         camera = usual_camera(*size)
         pj.fit_camera(other, drawn(camera, other), turned(camera, [1, 2, 3], 5))
     assert programs == [descended._cached._cache_size()]
