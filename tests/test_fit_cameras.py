@@ -9,15 +9,14 @@ import trimesh
 from arm import check_slope
 from chosen import full
 from numpy.testing import assert_allclose
-from oracles import drawn, turned
+from oracles import body, drawn, lump, normal, turned
 from refusals import refusal, refuses
 from results import degrees
 from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
-from pinhole_jax import shapes
 
-SCENE = pj.Scene(shapes.bumpy(3))
+SCENE = lump(3)
 
 
 def truth(seed):
@@ -64,7 +63,7 @@ def seen_from(eyes):
     return [pj.Camera(e, [0.1, 0, 0], [0.1, 0.2, 1], 0.6, 1.0, 128, 128) for e in eyes]
 
 
-BOX = pj.Scene(pj.Mesh(trimesh.creation.box((1.2, 1.32, 1.05))))
+BOX = body(trimesh.creation.box((1.2, 1.32, 1.05)))
 OF_BOX = seen_from([(3.0, -3.0, 2.5), (-2.0, 3.5, 2.0), (1.0, 4.0, -2.5)])
 
 
@@ -72,8 +71,8 @@ def mug():
     handle = trimesh.creation.torus(0.35, 0.08, major_sections=12, minor_sections=8)
     handle.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
     handle.apply_translation([0.85, 0, 0])
-    body = trimesh.creation.cylinder(radius=0.8, height=2, sections=24)
-    return pj.Scene(pj.Mesh(body + handle))
+    cup = trimesh.creation.cylinder(radius=0.8, height=2, sections=24)
+    return body(cup + handle)
 
 
 OF_MUG = seen_from([(-4.8, 0.3, 1.5), (0.5, -4.9, 1.2)])
@@ -197,11 +196,11 @@ def test_derivative_by_the_mesh_equals_refits(masks, kind, tolerance):
     start = eqx.tree_at(lambda c: c.phi, STARTS[0], TRUTHS[0].phi)
 
     def eye(vertices):
-        moved = pj.Scene(pj.Mesh(vertices, np.asarray(SCENE.mesh.faces)))
+        moved = body(vertices, np.asarray(SCENE.mesh.faces))
         return pj.fit_camera(moved, target, start).camera.e
 
     vertices = SCENE.mesh.vertices
-    wrong = 0.01 * jnp.asarray(np.random.default_rng(1).normal(size=vertices.shape))
+    wrong = 0.01 * jnp.asarray(normal(vertices.shape, 1))
     slope = check_slope(eye, [vertices], [wrong], 1e-3, tolerance)
     gradient = jax.grad(lambda v: eye(v)[0])(vertices)
     assert_allclose(jnp.sum(gradient * wrong), slope[0], rtol=1e-6, atol=1e-12)
