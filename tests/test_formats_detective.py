@@ -5,14 +5,14 @@ import json
 import numpy as np
 import pytest
 import trimesh
-from oracles import drawn
+from oracles import body, drawn, lump
 from refusals import refuses
 
 import pinhole_jax as pj
-from pinhole_jax import formats, io, shapes
+from pinhole_jax import formats, io
 
 W, H = 72, 56
-SCENE = pj.Scene(shapes.bumpy(3))
+SCENE = lump(3)
 CAMERA = formats.cropped(
     pj.Camera([0.6, 1.4, 5], [0.2, 0.1, 0], [0.3, 1, 0.1], 0.55, 1.0, 80, 60), 5, 1, W, H
 )
@@ -73,7 +73,7 @@ def test_axis_of_the_field_of_view_is_found():
 def test_ball_leaves_the_axes_undecided():
     """A ball on the axis looks alike when the picture is turned upside down."""
     sphere = trimesh.creation.icosphere(subdivisions=3)
-    ball = pj.Scene(pj.Mesh(sphere.vertices, sphere.faces))
+    ball = body(sphere.vertices, sphere.faces)
     camera = pj.Camera([0, 0, 5.0], [0, 0, 0], [0, 1, 0], 0.6, 1.0, W, H, pj.Lens([W / 2, H / 2]))
     _, R, t = formats.to_opencv(camera, pixel_centres="half")
     mask = np.asarray(pj.silhouette(camera, ball, overlaps=False))
