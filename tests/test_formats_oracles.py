@@ -7,13 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from oracles import normal
 from refusals import refusal
 from test_distortion import BROWN, FISHEYE, RATIONAL, camera as lens_camera
 
 import pinhole_jax as pj
 from pinhole_jax import formats
 
-POINTS = np.random.default_rng(0).normal(size=(20, 3)) * 0.5
+POINTS = normal((20, 3)) * 0.5
 BASE = pj.Camera([1.0, 2, 5], [0.1, 0, 0], [0.3, 1, 0.2], 0.7, 1.0, 64, 49)
 CROP = formats.cropped(BASE, 3, -2, 41, 32)
 CAMERAS = {"base": BASE, "crop": CROP, "stretched": formats.resized(CROP, 33, 50)}
