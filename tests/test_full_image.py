@@ -5,13 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from oracles import drawn, usual_camera
+from oracles import drawn, lump, usual_camera
 from refusals import refusal
 
 import pinhole_jax as pj
 
 CAMERA = usual_camera(48, 40)
-SCENE = pj.Scene(pj.shapes.bumpy(2))
+SCENE = lump(2)
 EXACT = drawn(CAMERA, SCENE)
 START = CAMERA.replace(e=[0.35, 1.03, 5.1])
 
