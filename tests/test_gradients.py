@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from oracles import central_difference, coverage, usual_camera
+from oracles import body, central_difference, coverage, normal, usual_camera
 from slopes import gradients
 
 import pinhole_jax as pj
@@ -16,7 +16,7 @@ from pinhole_jax._native.library import is_available
 
 W, H = 24, 20
 CAMERA = usual_camera(W, H).replace(d=1.3)
-WEIGHT = np.random.default_rng(0).normal(size=(H, W))
+WEIGHT = normal((H, W))
 
 
 MESH = shapes.bumpy(2, bumps=0.02)
@@ -63,5 +63,5 @@ def test_frozen_leaves_cost_no_derivative():
 
     phi = lambda x: pj.silhouette(CAMERA.replace(phi=x), pj.Scene(MESH))
     assert pushed(phi, CAMERA.phi) == ["18"]
-    moving = lambda x: pj.silhouette(x[0], pj.Scene(pj.Mesh(x[1], MESH.faces)))
+    moving = lambda x: pj.silhouette(x[0], body(x[1], MESH.faces))
     assert pushed(moving, (CAMERA, MESH.vertices)) == ["18", "162x3"]
