@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 from numpy.testing import assert_allclose
-from oracles import mesh_coverage
+from oracles import body, mesh_coverage
 
 import pinhole_jax as pj
 from pinhole_jax._scene.scene import padded
@@ -50,7 +50,7 @@ def sheets(random, step):
 
 
 def scene_of(vertices, faces, dtype=float):
-    return padded(pj.Scene(pj.Mesh(vertices.astype(dtype), faces)))
+    return padded(body(vertices.astype(dtype), faces))
 
 
 @eqx.filter_jit
