@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from chosen import long
 from masks import wavy
-from oracles import central_difference, usual_camera
+from oracles import central_difference, lump, normal, usual_camera
 from refusals import refusal
 from results import NAMES, fit_at
 from scipy.spatial.transform import Rotation
@@ -16,8 +16,8 @@ from pinhole_jax._fit.result import MaskError
 from pinhole_jax._joint.joint_fit import ObjectFit
 
 CAMERA = usual_camera()
-SCENE = pj.Scene(pj.shapes.bumpy(3))
-POINTS = np.random.default_rng(0).normal(size=(40, 3)) * [0.5, 0.5, 0.5]
+SCENE = lump(3)
+POINTS = normal((40, 3)) * [0.5, 0.5, 0.5]
 
 
 def known_by(sigma_px, names=NAMES):
