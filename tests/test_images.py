@@ -10,7 +10,7 @@ import pytest
 import trimesh
 from chosen import first
 from numpy.testing import assert_allclose, assert_array_equal
-from oracles import central_difference, usual_camera
+from oracles import body, central_difference, usual_camera
 from PIL import Image
 
 import pinhole_jax as pj
@@ -43,7 +43,7 @@ def test_depth_and_normals_are_those_of_hits_turned_towards_the_eye(radius):
 
 def test_misses_and_empty_scenes_have_infinite_depth():
     away = pj.Camera([0, 0, 5], [0, 0, 9], [0, 1, 0], 0.6, 1.0, W, H)
-    for scene in (pj.Scene(), pj.Scene(mesh=pj.Mesh(WALL, FACES))):
+    for scene in (pj.Scene(), body(WALL, FACES)):
         assert np.all(np.isposinf(pj.depth(away, scene)))
         assert_array_equal(pj.normals(away, scene), np.zeros((H, W, 3)))
 
@@ -58,7 +58,7 @@ def test_m3t_depth_image_is_reproduced(shared):
         mesh = pj.load_mesh(folder / placed["mesh"])
         points = np.asarray(mesh.vertices) @ np.transpose(placed["R"]) + placed["t"]
         meshes.append(trimesh.Trimesh(points, mesh.faces, process=False))
-    scene = pj.Scene(mesh=pj.Mesh(trimesh.util.concatenate(meshes)))
+    scene = body(trimesh.util.concatenate(meshes))
     # A window of the picture, where bottle, toy and background meet.
     left, top, width, height = 380, 270, 70, 40
     K = np.array(given["K"]) - [[0, 0, left], [0, 0, top], [0, 0, 0]]
