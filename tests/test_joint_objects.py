@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from arm import BOTH_EYES, OFF, SIZE, TRUTH, check_slope, grown, posture
 from numpy.testing import assert_allclose
-from oracles import central_difference, drawn
+from oracles import body, central_difference, drawn
 
 import pinhole_jax as pj
 from pinhole_jax._camera.poses import exponential
@@ -81,7 +81,7 @@ def test_derivative_of_a_part_equals_refits(larger, noise, by_mesh):
     one, other = one._replace(target=shown(one)), other._replace(target=shown(other))
 
     def answer(vertices, target, mount, placed):
-        scene = pj.Scene(mesh=pj.Mesh(vertices, faces))
+        scene = body(vertices, faces)
         views = [
             one._replace(scene=scene, target=target, mount=mount),
             other._replace(scene=scene, placed=placed),
