@@ -3,7 +3,7 @@
 import numpy as np
 from arm import RIG, START, TRUTH
 from numpy.testing import assert_allclose
-from oracles import central_difference, drawn
+from oracles import body, central_difference, drawn
 from refusals import refusal
 from results import NAMES, fit_at
 
@@ -53,7 +53,7 @@ def test_proposed_mask_adds_its_information(scenes):
     """Of two masks that are alike a third one is worth its share; one that shows nothing, none."""
     seen = pj.JointView(scenes[0], None)
     mesh = scenes[0].mesh
-    aside = seen._replace(scene=pj.Scene(mesh=pj.Mesh(mesh.vertices + 90.0, mesh.faces)))
+    aside = seen._replace(scene=body(mesh.vertices + 90.0, mesh.faces))
     found = worths([seen, seen], TRUTH, "pose,phi", [seen, aside])
     assert_allclose(found, [1.5**0.5, 1], rtol=1e-6)
     assert worths([aside], TRUTH, "pose,phi", [seen, aside]) == [np.inf, 1]
