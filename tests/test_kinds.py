@@ -3,17 +3,15 @@
 import numpy as np
 import pytest
 from honesty import jpeg
-from oracles import drawn, usual_camera
+from oracles import drawn, lump, normal, usual_camera
 from scipy.ndimage import gaussian_filter
 
-import pinhole_jax as pj
-from pinhole_jax import shapes
 from pinhole_jax._mask.kinds import kind_of
 
 CAMERA = usual_camera(128, 128)
 
 
-MASK = drawn(CAMERA, pj.Scene(shapes.bumpy(3)))
+MASK = drawn(CAMERA, lump(3))
 
 
 def sampled(mask, number):
@@ -25,7 +23,7 @@ def bytes_of(mask):
 
 
 def noisy(mask):
-    return mask + 0.02 * np.random.default_rng(0).normal(size=mask.shape)
+    return mask + 0.02 * normal(mask.shape)
 
 
 def rounded(mask):
