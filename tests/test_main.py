@@ -13,7 +13,7 @@ import pytest
 import trimesh
 from chosen import full, long
 from numpy.testing import assert_allclose, assert_array_equal
-from oracles import drawn, turned, usual_camera
+from oracles import drawn, lump, turned, usual_camera
 from PIL import ExifTags, Image
 from refusals import refusal
 from results import degrees
@@ -21,7 +21,7 @@ from scipy.ndimage import binary_dilation
 from test_plot import fit_of
 
 import pinhole_jax as pj
-from pinhole_jax import __main__ as command, io, shapes
+from pinhole_jax import __main__ as command, io
 from pinhole_jax._camera.distortion import MODELS
 from pinhole_jax._command.arguments import VERBS, parse
 from pinhole_jax._command.options import record_of
@@ -35,7 +35,7 @@ from pinhole_jax.names import DISTORTIONS, FREE, STATUSES as STATUSES_TOLD
 CAMERA = usual_camera()
 
 
-SCENE = pj.Scene(mesh=shapes.bumpy(3))
+SCENE = lump(3)
 #: What a command prints while it works: a line every ten seconds.
 WAITED = r"( *\d+ s  .*\n)*"
 
