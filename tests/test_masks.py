@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from oracles import drawn, usual_camera
+from oracles import drawn, lump, usual_camera
 from PIL import Image
 from refusals import refusal
 
-import pinhole_jax as pj
-from pinhole_jax import io, shapes
+from pinhole_jax import io
 
 W, H = 96, 80
 CAMERA = usual_camera(W, H)
@@ -246,7 +245,7 @@ def test_labels_of_any_depth_are_refused_and_listed(tmp_path, dtype, first, seco
 @pytest.fixture(scope="module")
 def silhouette():
     """A mask of 8 bits with soft edges, in the middle of the film."""
-    coverage = drawn(CAMERA, pj.Scene(mesh=shapes.bumpy(2)))
+    coverage = drawn(CAMERA, lump(2))
     return np.uint8(255 * coverage + 0.5)
 
 
