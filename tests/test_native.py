@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from fuzz_native import compare
 from numpy.testing import assert_allclose, assert_array_equal
+from oracles import lump
 from slopes import both_ways
 
 import pinhole_jax as pj
@@ -29,7 +30,7 @@ def camera(e, lens=None):
 RANDOM = np.random.default_rng(3)
 SOUP = pj.Mesh(RANDOM.normal(size=(36, 3)), np.arange(36).reshape(-1, 3))
 BALLS = pj.Spheres(RANDOM.normal(size=(5, 3)), RANDOM.uniform(0.1, 0.6, 5))
-SCENES = {"closed": pj.Scene(pj.shapes.bumpy(1)), "both": pj.Scene(SOUP, BALLS)}
+SCENES = {"closed": lump(1), "both": pj.Scene(SOUP, BALLS)}
 
 
 def drawn(e, scene):
