@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from oracles import normal
 from results import NAMES, fit_at
 from test_words import random_camera
 
@@ -14,7 +15,7 @@ from pinhole_jax._solver.moves import displaced
 
 
 def fit_of(camera, names=NAMES, seed=0):
-    root = 1e-4 * np.random.default_rng(seed).normal(size=(len(names), len(names)))
+    root = 1e-4 * normal((len(names), len(names)), seed)
     return fit_at(camera, root @ root.T, names)
 
 
@@ -41,7 +42,7 @@ def test_pose_projects_as_the_camera_does():
     camera = random_camera(np.random.default_rng(3))
     pose = formats.object_pose(fit_of(camera), pixel_centres="half")
     middle = 3 * np.asarray(camera.p) - 2 * np.asarray(camera.e)
-    points = middle + np.random.default_rng(4).normal(size=(5, 3)) / 4
+    points = middle + normal((5, 3), 4) / 4
     seen = cv2.projectPoints(points, cv2.Rodrigues(pose.R)[0], pose.t, pose.K, None)[0][:, 0]
     seen[:, 1] = camera.H - seen[:, 1]
     assert_allclose(seen, pj.project(camera, jnp.asarray(points)), rtol=1e-9)
