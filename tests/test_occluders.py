@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import trimesh
 from chosen import first, full
-from oracles import drawn, single, turned, usual_camera
+from oracles import body, drawn, lump, single, turned, usual_camera
 from results import degrees
 from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
-from pinhole_jax import plot, report, shapes
+from pinhole_jax import plot, report
 from pinhole_jax._fit.edge import Edge, OutlinePoints, matched
 from pinhole_jax._fit.refine import Refiner
 from pinhole_jax._mask.mask import Mask
@@ -24,7 +24,7 @@ from pinhole_jax.show.outline import RED
 COLUMNS = np.arange(96) + 0.5
 
 
-SCENE = pj.Scene(shapes.bumpy(3))
+SCENE = lump(3)
 
 
 def anywhere(seed):
@@ -93,7 +93,7 @@ def test_visible_edge_is_enough_from_a_start():
 def test_occluder_that_mimics_another_view_is_not_called_certain(sign):
     """A box of 1 x 2 x 3; a wall leaves 1 x 2 of it: another side."""
     box = trimesh.creation.box([1.0, 2.0, 3.0])
-    scene = pj.Scene(pj.Mesh(box))
+    scene = body(box)
     truth = pj.Camera([7.0, 0.2, 0.1], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 96, 80)
     inside = drawn(truth, scene) > 0.5
     left, right = np.flatnonzero(inside.any(axis=0))[[0, -1]] + 0.5
@@ -109,7 +109,7 @@ def bracket():
     parts = [([1.6, 1.2, 0.15], [0, 0, 0]), ([0.15, 1.2, 0.9], [-0.72, 0, 0.5])]
     parts += [([0.9, 0.15, 0.5], [-0.3, 0.52, 0.3])]
     plates = [trimesh.creation.box(size).apply_translation(place) for size, place in parts]
-    return single(pj.Scene(pj.Mesh(trimesh.util.concatenate(plates))))
+    return single(body(trimesh.util.concatenate(plates)))
 
 
 def behind_a_half_plane(truth, scene, turn, least):
@@ -143,7 +143,7 @@ def test_camera_that_is_turned_onto_a_cut_is_turned_back():
 @pytest.mark.parametrize("seed", first(0, [2, 4], of=2))
 def test_different_shape_is_not_taken_for_an_occluded_one(seed):
     """Its outline lies within the object's here and there, as if something stood before it."""
-    scene, other = (pj.Scene(mesh=shapes.bumpy(3, k)) for k in (0, seed))
+    scene, other = (lump(3, k) for k in (0, seed))
     camera = usual_camera(192, 160)
     fit = pj.fit_camera(scene, drawn(camera, other) > 0.5, turned(camera, [1, 2, 3], 10))
     assert fit.status != "converged"
