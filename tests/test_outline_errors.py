@@ -7,11 +7,10 @@ from honesty import signed_distance
 from intervals import error
 from masks import wavy
 from numpy.testing import assert_allclose, assert_array_equal
-from oracles import drawn, single, turned, usual_camera
+from oracles import body, drawn, lump, single, turned, usual_camera
 from results import degrees
 
 import pinhole_jax as pj
-from pinhole_jax import shapes
 from pinhole_jax._mask.mask import Mask
 from pinhole_jax._outline.outline_errors import ErrorModel
 from pinhole_jax._outline.stretches import quantised
@@ -22,7 +21,7 @@ from pinhole_jax._solver.subject import Subject
 
 SIZE = 128
 CAMERA = usual_camera(SIZE, SIZE)
-SCENE = single(pj.Scene(shapes.bumpy(3)))
+SCENE = single(lump(3))
 IMAGE = drawn(single(CAMERA), SCENE)
 
 
@@ -81,7 +80,7 @@ def test_rendered_triangle_soup_is_not_taken_for_drawn():
     """Pixels in which several edges lie err for each of them."""
     random = np.random.default_rng(0)
     corners = random.normal(0, 0.5, (200, 1, 3)) + random.normal(0, 0.2, (200, 3, 3))
-    soup = single(pj.Scene(mesh=pj.Mesh(corners.reshape(-1, 3), np.arange(600).reshape(-1, 3))))
+    soup = single(body(corners.reshape(-1, 3), np.arange(600).reshape(-1, 3)))
     mask = np.asarray(pj.silhouette(single(CAMERA), soup)) > 0.5
     assert pj.fit_camera(soup, mask, single(CAMERA)).mask_error.px < 0.1
 
