@@ -4,18 +4,17 @@ import jax
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from oracles import drawn, turned, usual_camera
+from oracles import body, drawn, lump, turned, usual_camera
 from refusals import refusal
 from scipy.ndimage import binary_dilation, gaussian_filter
 from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
-from pinhole_jax import shapes
 
 CAMERA = usual_camera(192, 160)
 START = turned(CAMERA, [1, 2, 3], 3)
 TURN = Rotation.from_euler("y", 120, degrees=True).as_matrix()
-SCENE = pj.Scene(shapes.bumpy(3))
+SCENE = lump(3)
 SHOWN = drawn(CAMERA, SCENE)
 FRONT, BACK = np.array([0.7, 0.3, 0.1]), np.array([0.1, 0.3, 0.5])
 
@@ -82,7 +81,7 @@ def beside(masks, photos):
 def turned_away():
     """The mask of the second view of `beside`."""
     vertices = np.asarray(SCENE.mesh.vertices) @ TURN.T
-    return drawn(CAMERA, pj.Scene(mesh=pj.Mesh(vertices, SCENE.mesh.faces)))
+    return drawn(CAMERA, body(vertices, SCENE.mesh.faces))
 
 
 @pytest.mark.long
