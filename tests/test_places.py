@@ -5,11 +5,10 @@ import numpy as np
 import pytest
 import trimesh
 from chosen import full
-from oracles import drawn, single, turned, usual_camera
+from oracles import body, drawn, lump, normal, single, turned, usual_camera
 from results import degrees
 
 import pinhole_jax as pj
-from pinhole_jax import shapes
 from pinhole_jax._numerics import threads
 
 pytestmark = pytest.mark.long
@@ -64,7 +63,7 @@ CAMERA = usual_camera()
 
 
 RING = trimesh.creation.torus(1.0, 0.35, major_sections=32, minor_sections=16)
-TORUS = pj.Scene(pj.Mesh(RING))
+TORUS = body(RING)
 
 
 def test_nearly_round_body_is_found_from_all_round_its_axis():
@@ -73,7 +72,7 @@ def test_nearly_round_body_is_found_from_all_round_its_axis():
     ball, dent = trimesh.creation.icosphere(subdivisions=3), np.array([0.6, 0.64, 0.48])
     off = np.linalg.norm(ball.vertices - dent, axis=1, keepdims=True)
     vertices = ball.vertices * (1 - 0.3 * np.exp(-((off / 0.35) ** 2)))
-    scene = pj.Scene(mesh=pj.Mesh(vertices.astype(np.float32), ball.faces))
+    scene = body(vertices.astype(np.float32), ball.faces)
     eye = 5.5 * np.array([0.8, -0.75, 0]) / np.hypot(0.8, 0.75) + 0.5 * dent
     truth = single(pj.Camera(eye, np.zeros(3), dent, 0.6, 1.0, 800, 800))
     fit = pj.fit_camera(scene, drawn(truth, scene) > 0.5, turned(truth, dent, 122))
@@ -83,10 +82,10 @@ def test_nearly_round_body_is_found_from_all_round_its_axis():
 @pytest.mark.parametrize("clipped", [False, True])
 def test_noisy_mask_is_explained(clipped):
     """Noise is no misfit, wherever in the image it is."""
-    scene = pj.Scene(mesh=shapes.bumpy(3))
+    scene = lump(3)
     image = drawn(CAMERA, scene)
     for seed in range(3):
-        noise = 0.02 * np.random.default_rng(seed).normal(size=image.shape)
+        noise = 0.02 * normal(image.shape, seed)
         target = np.clip(image + noise, 0, 1) if clipped else image + noise
         fit = pj.fit_camera(scene, target, turned(CAMERA, [1, 2, 3], 8))
         assert fit.status == "converged"
@@ -95,8 +94,8 @@ def test_noisy_mask_is_explained(clipped):
 
 def test_noisy_mask_of_a_box_is_as_ambiguous_as_an_exact_one():
     box = trimesh.creation.box((1.2, 1.32, 1.05))
-    scene = pj.Scene(pj.Mesh(box))
-    mask, noise = drawn(CAMERA, scene), np.random.default_rng(0).normal(size=(80, 96))
+    scene = body(box)
+    mask, noise = drawn(CAMERA, scene), normal((80, 96))
     for target in (mask + 0.02 * noise, mask > 0.5):
         fit = pj.fit_camera(scene, target, None, phi=0.6)
         assert fit.status == "ambiguous"
@@ -121,7 +120,7 @@ def test_contours_within_the_object_are_no_outline():
 
 def test_sigma_does_not_fall_below_rounding():
     """Exact masks in float32: errors are a few standard errors at most."""
-    scene, camera = pj.Scene(mesh=shapes.bumpy(3)), single(CAMERA)
+    scene, camera = lump(3), single(CAMERA)
     mask = drawn(camera, scene)
     for k, axis in enumerate(np.eye(3)):
         start = single(turned(CAMERA, axis + 0.1, 8, 1 + 0.02 * k))
@@ -134,7 +133,7 @@ def test_hard_mask_on_the_grid_leaves_a_sigma():
     """Its right camera leaves no residual at all, and still is not known better than to a part of
     a pixel."""
     box = trimesh.creation.box((1, 1, 1))
-    scene = pj.Scene(pj.Mesh(box))
+    scene = body(box)
     camera = pj.Camera([0, 0, 4.5], [0, 0, 0], [0, 1, 0], 2 * np.arctan(0.125 * 5), 1.0, 80, 80)
     fit = pj.fit_camera(scene, drawn(camera, scene) > 0.5, camera, ("position",))
     px = 4 / 64  # at the front face
@@ -146,7 +145,7 @@ def test_nut_fits_as_well_one_side_on(sides, monkeypatch):
     """Neighbours of the start, none of them half a turn away; the same on any number of cores, on
     which looks and descents are worked out ahead."""
     nut = trimesh.creation.cylinder(radius=1, height=0.8, sections=sides)
-    scene = pj.Scene(pj.Mesh(nut))
+    scene = body(nut)
     camera = pj.Camera([0.5, 4.0, 3.0], [0, 0, 0], [0, 0, 1], 0.6, 1.0, 96, 80)
     start = turned(camera, [0, 0, 1], 0.8 * 180 / sides)
     for mask in (drawn(camera, scene), drawn(camera, scene) > 0.5):
