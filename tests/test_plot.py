@@ -7,21 +7,21 @@ import shapely
 import trimesh
 from chosen import long
 from numpy.testing import assert_allclose
-from oracles import scene_polygons, usual_camera
+from oracles import body, lump, scene_polygons, usual_camera
 from refusals import refusal
 from results import fit_at
 
 import pinhole_jax as pj
-from pinhole_jax import plot, shapes
+from pinhole_jax import plot
 from pinhole_jax._silhouette.visible import STEP_PX
 
 CAMERA = usual_camera()
 
 
 BODIES = {
-    "bumpy": pj.Scene(mesh=shapes.bumpy(3)),
-    "torus": pj.Scene(mesh=pj.Mesh(trimesh.creation.torus(1.0, 0.4))),
-    "box": pj.Scene(mesh=pj.Mesh(trimesh.creation.box())),
+    "bumpy": lump(3),
+    "torus": body(trimesh.creation.torus(1.0, 0.4)),
+    "box": body(trimesh.creation.box()),
     "ball": pj.Scene(spheres=pj.Spheres([[0.1, 0.2, 0]], [1.0])),
     "spheres": pj.Scene(spheres=pj.Spheres([[0.0, 0, 0], [0.6, 0.2, 0.3]], [0.5, 0.4])),
 }
@@ -68,9 +68,7 @@ def test_overlay_draws_on_the_outline_and_nowhere_else(shape):
 
 
 # A square in the plane z = 0, seen from straight ahead at distance 5: f = 80 / (2 tan 0.3) px.
-SQUARE = pj.Scene(
-    mesh=pj.Mesh([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], [[0, 1, 2], [0, 2, 3]])
-)
+SQUARE = body([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], [[0, 1, 2], [0, 2, 3]])
 AHEAD = pj.Camera([0.0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 96, 80)
 FOCAL = 40 / np.tan(0.3)
 
