@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from chosen import on_cpu
+from oracles import lump
 
 import pinhole_jax as pj
 from pinhole_jax import plot
@@ -29,7 +30,7 @@ def test_points_stay_on_their_device():
 
 @on_cpu
 def test_further_numbers_of_points_and_pixels_compile_nothing(compiled):
-    scene = pj.Scene(mesh=pj.shapes.bumpy(1))
+    scene = lump(1)
 
     def all_of_it(n):
         points = RANDOM.standard_normal((n, 3))
@@ -53,7 +54,7 @@ def test_further_numbers_of_points_and_pixels_compile_nothing(compiled):
 @on_cpu
 def test_drawing_a_new_view_compiles_nothing(compiled):
     """Its outline has another number of parts."""
-    scene, image = pj.Scene(mesh=pj.shapes.bumpy(1)), np.zeros((40, 48), np.uint8)
+    scene, image = lump(1), np.zeros((40, 48), np.uint8)
     drawn, programs = [], []
     for x in (0.0, 0.4, 1.0):
         camera = BENT.replace(e=jnp.asarray([x, 0.2, 4.0]))
