@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import jax
 import jax.numpy as jnp
 import numpy as np
-from oracles import usual_camera
+from oracles import lump, usual_camera
 from refusals import refusal
 
 import pinhole_jax as pj
@@ -15,7 +15,7 @@ from pinhole_jax._files import progress
 from pinhole_jax._files.progress import Ticker, say, shown
 
 CAMERA = usual_camera(48, 40)
-SCENE = pj.Scene(mesh=pj.shapes.bumpy(2))
+SCENE = lump(2)
 
 
 def test_line_comes_often_where_there_is_no_terminal(monkeypatch, capsys):
