@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import trimesh
 from numpy.testing import assert_array_equal
+from oracles import body, lump
 from refusals import refusal
 
 import pinhole_jax as pj
-from pinhole_jax import shapes
 from pinhole_jax._scene.scene import (
     bounding_box,
     padded,
@@ -60,7 +60,7 @@ def test_mesh_compiles_nothing(compiled):
     sizes = []
     for sections in (11, 11, 12, 17):
         ring = trimesh.creation.torus(1, 0.3, sections, 9)
-        scene = pj.Scene(pj.Mesh(ring))
+        scene = body(ring)
         sizes.append(len(padded(scene).mesh.faces))
         assert_array_equal(
             bounding_box(scene), [ring.vertices.min(axis=0), ring.vertices.max(axis=0)]
@@ -122,6 +122,6 @@ def test_trimesh_mesh_is_accepted():
 def test_memory_of_a_fit_is_freed():
     """A loop over many masks holds no more at its end: 2 MB a fit stayed, as equinox keeps what is
     made of a module by `copy`."""
-    gone = weakref.ref(padded(pj.Scene(mesh=shapes.bumpy(1))).mesh)
+    gone = weakref.ref(padded(lump(1)).mesh)
     gc.collect()
     assert gone() is None
