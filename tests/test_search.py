@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 import trimesh
 from chosen import long
-from oracles import drawn, turned
+from oracles import body, drawn, lump, turned
 from results import degrees
 from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
-from pinhole_jax import shapes
 
-SCENE = pj.Scene(shapes.bumpy(3))
+SCENE = lump(3)
 
 
 def anywhere(seed):
@@ -25,7 +24,7 @@ def anywhere(seed):
 @pytest.mark.parametrize("subdivisions", [3, long(7)])
 def test_camera_is_found_with_no_start(subdivisions):
     """Also of a mesh so fine that the search looks at a coarser one."""
-    scene = pj.Scene(mesh=shapes.bumpy(subdivisions))
+    scene = lump(subdivisions)
     for seed in range(3 if subdivisions < 7 else 1):
         truth = anywhere(seed)
         fit = pj.fit_camera(scene, pj.silhouette(truth, scene), None, phi=0.6)
@@ -74,7 +73,7 @@ def test_start_that_misses_the_mask_is_pulled_in(where):
 def test_box_has_four_views():
     """Half turns about its three axes change nothing: four cameras, all of them are given."""
     box = trimesh.creation.box((1.2, 0.8, 2)).subdivide()
-    scene, truth = pj.Scene(pj.Mesh(box)), anywhere(1)
+    scene, truth = body(box), anywhere(1)
     mask = drawn(truth, scene)
     fit = pj.fit_camera(scene, mask, None, phi=0.6)
     assert fit.status == "ambiguous"
@@ -90,7 +89,7 @@ def test_box_has_four_views():
 def test_continuous_symmetry_is_no_list_of_modes():
     cylinder = trimesh.creation.cylinder(0.5, 2.0, sections=256)
     cylinder.vertices[cylinder.vertices[:, 2] > 0, :2] *= 0.6  # a cone's stump: no second axis
-    scene = pj.Scene(pj.Mesh(cylinder))
+    scene = body(cylinder)
     fit = pj.fit_camera(scene, drawn(anywhere(2), scene), None, phi=0.6)
     assert fit.iou > 0.999
     assert fit.modes == ()
