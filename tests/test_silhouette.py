@@ -14,9 +14,11 @@ import trimesh
 from chosen import first, full, long
 from numpy.testing import assert_allclose, assert_array_equal
 from oracles import (
+    body,
     coverage,
     filled,
     mesh_coverage,
+    normal,
     random_camera,
     single,
     union_per_pixel,
@@ -39,7 +41,7 @@ def gentle(seed=0):
 
 def noisy_sphere():
     sphere = trimesh.creation.icosphere(2)
-    noise = np.random.default_rng(1).normal(size=(len(sphere.vertices), 1))
+    noise = normal((len(sphere.vertices), 1), 1)
     return sphere.vertices * (1 + 0.08 * noise), sphere.faces
 
 
@@ -135,7 +137,7 @@ def test_closed_meshes_match_the_polygon_union(seed, kind, of_mesh, lens):
     camera = random_camera(np.random.default_rng(seed), 40, 32).replace(lens=lens)
     camera = jax.tree.map(lambda x: x.astype(kind), camera)
     close = 1e-9 if kind == of_mesh == "float64" else 1e-4
-    image = check(camera, pj.Scene(mesh=pj.Mesh(vertices.astype(of_mesh), faces)), close)
+    image = check(camera, body(vertices.astype(of_mesh), faces), close)
     assert image.dtype == kind
     assert 0.05 < float(jnp.mean(image)) < 0.9
 
@@ -252,19 +254,19 @@ def test_no_row_of_a_large_float32_image_is_covered_by_mistake():
     """Many curves pass within rounding of a pixel's corner there."""
     random = np.random.default_rng(0)
     views = [single(random_camera(random, 1024, 1024)) for _ in range(3)]
-    check_float32(views, single(pj.Scene(mesh=pj.Mesh(*gentle()))), 2e-3)
+    check_float32(views, single(body(*gentle())), 2e-3)
 
 
 @pytest.mark.long
 def test_no_pixel_of_a_rough_mesh_is_wrong_in_float32():
     """Parts of pixels have corners that agree with their pieces, however these are rounded."""
-    scene = single(pj.Scene(mesh=pj.Mesh(*rough(6, 0.25))))
+    scene = single(body(*rough(6, 0.25)))
     check_float32(cameras(6, np.float32, 200, 150), scene, 5e-4)
 
 
 @pytest.mark.long
 def test_thousand_views_take_memory_for_their_masks_and_one():
-    scene = pj.Scene(mesh=pj.Mesh(*gentle()))
+    scene = body(*gentle())
     camera = usual_camera(W, H)
     at = lambda e: pj.silhouette(eqx.tree_at(lambda c: c.e, camera, e), scene)
     eyes = jnp.broadcast_to(camera.e, (1000, 3))
