@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import trimesh
 from numpy.testing import assert_allclose, assert_array_equal
-from oracles import drawn
+from oracles import drawn, lump
 from PIL import Image
 from refusals import refusal
 from results import fit_at
@@ -46,7 +46,7 @@ def camera(lens=None, e=(1.0, 1.5, 5.0), size=(W, H)):
 
 @pytest.fixture(scope="module")
 def scene():
-    return pj.Scene(mesh=pj.shapes.bumpy(2))
+    return lump(2)
 
 
 @pytest.fixture(scope="module")
