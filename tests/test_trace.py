@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from chosen import full
 from numpy.testing import assert_allclose, assert_array_equal
-from oracles import random_rays, usual_camera
+from oracles import body, lump, random_rays, usual_camera
 from refusals import refusal
 
 import pinhole_jax as pj
@@ -51,7 +51,7 @@ def test_no_ray_leaks_through_edges_or_vertices(dtype, offset):
     origin = np.broadcast_to(away.astype(dtype), aims.shape)
     direction = aims - origin
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    scene = pj.Scene(mesh=pj.Mesh(vertices, np.asarray(mesh.faces)))
+    scene = body(vertices, np.asarray(mesh.faces))
     blocked = pj.occluded(scene, pj.Rays(jnp.asarray(origin), jnp.asarray(direction)))
     assert int(jnp.sum(~blocked)) == 0
 
@@ -124,7 +124,7 @@ def test_camera_stands_for_its_rays():
 
 
 def test_unknown_search_is_refused():
-    scene, rays = pj.Scene(mesh=shapes.bumpy(1)), pj.Rays(jnp.zeros(3), jnp.ones(3))
+    scene, rays = lump(1), pj.Rays(jnp.zeros(3), jnp.ones(3))
     for function in (pj.trace, pj.occluded):
         with refusal(r"`search`: expected 'tree', got 'embree'; .*removed"):
             function(scene, rays, search="embree")
