@@ -5,13 +5,13 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from oracles import drawn, turned, usual_camera
+from oracles import drawn, lump, turned, usual_camera
 from refusals import refusal
 
 import pinhole_jax as pj
 
 CAMERA = usual_camera(48, 40)
-SCENE = pj.Scene(mesh=pj.shapes.bumpy(2))
+SCENE = lump(2)
 
 
 @pytest.fixture
