@@ -5,14 +5,14 @@ import re
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from oracles import central_difference
+from oracles import central_difference, lump, normal
 from results import fit_at
 
 import pinhole_jax as pj
 from pinhole_jax import plot
 
 CAMERA = pj.Camera([0, 0, 5.0], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 96, 80)
-SCENE = pj.Scene(mesh=pj.shapes.bumpy(2))
+SCENE = lump(2)
 
 
 def test_roll_shows_by_the_distance_from_the_middle():
@@ -33,7 +33,7 @@ def test_shift_shows_alike_at_one_depth():
 
 
 def test_errors_together_equal_those_of_differences():
-    mix = 1e-3 * np.random.default_rng(0).normal(size=(7, 7))
+    mix = 1e-3 * normal((7, 7))
     fit = fit_at(CAMERA, mix @ mix.T)
     trust = plot.trust(fit, SCENE)
 
