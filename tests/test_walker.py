@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from chosen import first
 from numpy.testing import assert_array_equal
-from oracles import random_rays
+from oracles import body, lump, random_rays
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
@@ -123,7 +123,7 @@ def test_faces_and_spheres_are_hit_as_by_arrays(faces, dtype):
 
 
 def test_rays_on_many_threads_hit_the_same():
-    scene, rays = pj.Scene(mesh=shapes.bumpy(2)), random_rays(100_003)
+    scene, rays = lump(2), random_rays(100_003)
     whole, some = walked(scene, *rays), slice(70_001, 70_301)
     assert_array_equal(whole[some], walked(scene, *(x[some] for x in rays)))
     assert np.mean(np.asarray(whole) >= 0) > 0.3
@@ -170,7 +170,7 @@ def test_vertex_gone_astray_hides_nothing():
     mesh, rays = shapes.bumpy(2), random_rays(500)
     astray = np.append(mesh.vertices, [[1e18, 0, 0]], axis=0)
     faces = np.append(mesh.faces, [[0, 1, len(mesh.vertices)]], axis=0)
-    ours = np.asarray(walked(pj.Scene(mesh=pj.Mesh(astray, faces)), *rays))
+    ours = np.asarray(walked(body(astray, faces), *rays))
     same = ours < len(mesh.faces)
     assert_array_equal(ours[same], np.asarray(walked(pj.Scene(mesh=mesh), *rays))[same])
     assert np.mean(same) > 0.9
