@@ -19,6 +19,7 @@ from chosen import first
 from numpy.testing import assert_allclose, assert_array_equal
 from oracles import drawn, normal
 from PIL import Image
+from processes import printed, python
 from refusals import refusal, refuses
 from scipy.spatial.transform import Rotation
 
@@ -589,7 +590,7 @@ def test_stopped_run_resumes(script, tmp_path, number):
 def test_script_without_main_guard_is_refused(tmp_path):
     path = tmp_path / "script.py"
     path.write_text("from pinhole_jax import batch\nbatch.fit_many([{'id': 'a'}])\n")
-    done = subprocess.run([sys.executable, path], capture_output=True, text=True, check=False)
+    done = python(path)
     assert done.returncode == 1
     assert "if __name__ == '__main__'" in done.stderr
 
@@ -616,7 +617,7 @@ def test_worker_processes_and_a_cluster_make_the_same_rows(folder, records, rows
     )
     one, other = tmp_path / "one", tmp_path / "other"
     environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
-    subprocess.run([sys.executable, path, folder / "test", one, other], env=environment, check=True)
+    printed(path, folder / "test", one, other, env=environment)
     found = list(batch.Results(one))
     assert all(same(a, b) for a, b in zip(found, batch.Results(other), strict=True))
     for a, b in zip(found, rows, strict=True):

@@ -2,10 +2,10 @@
 
 import json
 import os
-import subprocess
 import sys
 
 import pytest
+from processes import printed
 
 #: At most this many instructions of the optimised program.
 MOST = {
@@ -54,8 +54,5 @@ def test_programs_have_few_instructions(exhaustive):
     # In a process of its own, as users have it: the tests' settings are not there.
     given = {**os.environ, "JAX_ENABLE_X64": "1", "PYTHONPATH": os.pathsep.join(sys.path)}
     asked = [name for name in MOST if exhaustive or name not in WITH_ALL]
-    words = [sys.executable, "-c", COUNT, *asked]
-    done = subprocess.run(words, env=given, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
+    found = json.loads(printed("-c", COUNT, *asked, env=given))
     assert {name: count for name, count in found.items() if count > 1.05 * MOST[name]} == {}

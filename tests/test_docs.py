@@ -13,8 +13,6 @@ import json
 import os
 import re
 import shlex
-import subprocess
-import sys
 import textwrap
 import tomllib
 from pathlib import Path
@@ -25,6 +23,7 @@ import numpy as np
 import pytest
 import trimesh
 from chosen import full, long
+from processes import printed
 from results import degrees
 
 import pinhole_jax as pj
@@ -242,9 +241,7 @@ def test_site_builds_and_shows_its_results(tmp_path, pages):
     environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1", "XDG_CACHE_HOME": str(cache)}
     environment.pop("JAX_COMPILATION_CACHE_DIR", None)
     environment["DRAFT"] = ",".join(f"{page}.md" for page in pages) if pages == SOON else ""
-    build = [sys.executable, "-m", "properdocs", "build", "--site-dir", str(site)]
-    done = subprocess.run(build, cwd=ROOT, env=environment, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    printed("-m", "properdocs", "build", "--site-dir", site, cwd=ROOT, env=environment)
 
     for page in pages:
         shown = (site / page / "index.html").read_text(encoding="utf-8")

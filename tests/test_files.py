@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from chosen import full, long
 from PIL import ExifTags, Image
+from processes import printed, python
 from refusals import refusal
 
 import pinhole_jax as pj
@@ -102,8 +103,7 @@ def test_umask_is_respected_and_left_alone(tmp_path, monkeypatch):
 
 
 def command(*arguments, **more):
-    arguments = [sys.executable, "-m", "pinhole_jax", *map(str, arguments)]
-    return subprocess.run(arguments, capture_output=True, check=False, timeout=100, **more)
+    return python("-m", "pinhole_jax", *arguments, text=False, timeout=100, **more)
 
 
 @pytest.mark.long
@@ -309,8 +309,7 @@ def test_hostile_files_are_refused_soon_and_in_little_room(tmp_path, endings):
             path.write_bytes(bomb if isinstance(bomb, bytes) else bomb.encode())
     good = tmp_path.parent / f"{tmp_path.name}.json"
     io.save_camera(good, CAMERA)
-    arguments = [sys.executable, "-c", READ_ALL, tmp_path, good]
-    done = subprocess.run(arguments, capture_output=True, text=True, timeout=300, check=False)
+    done = python("-c", READ_ALL, tmp_path, good, timeout=300)
     seen = done.stdout.split()
     assert done.returncode == 0, (seen[-1:], done.returncode, done.stderr[-2000:])
     assert sorted({*seen}) == sorted(os.listdir(tmp_path))
@@ -372,8 +371,7 @@ def test_large_picture_takes_ten_bytes_a_pixel(tmp_path, exhaustive, way):
     large, small = tmp_path / "large.jpg", tmp_path / "small.jpg"
     photo_at(large, n)
     photo_at(small, 600)
-    arguments = [sys.executable, "-c", MEASURE, large, way, small]
-    added = int(subprocess.check_output(arguments))
+    added = int(printed("-c", MEASURE, large, way, small))
     assert added < 10 * n * n + 10e6  # what a band takes does not grow with the picture
 
 

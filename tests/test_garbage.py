@@ -3,8 +3,6 @@
 import re
 import signal
 import struct
-import subprocess
-import sys
 import zlib
 from functools import partial
 from pathlib import Path
@@ -16,6 +14,7 @@ import trimesh
 from chosen import first
 from fuzz_readers import broken, damaged, ring, targets
 from PIL import Image
+from processes import printed
 from refusals import refusal
 
 import pinhole_jax as pj
@@ -147,10 +146,7 @@ for words, calls in test_garbage.CALLS.items():
         with refusal(re.escape(words)):
             call()
 """
-    here = Path(__file__).parent
-    command = [sys.executable, "-c", code, str(here)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    printed("-c", code, Path(__file__).parent)
 
 
 # --- scenes --------------------------------------------------------------------------------------

@@ -1,14 +1,5 @@
-import subprocess
-import sys
-
 import pytest
-
-
-def run(code):
-    """A program's output, from a process of its own."""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return done.stdout.strip()
+from processes import printed
 
 
 def test_import_waits_with_what_is_heavy_and_changes_no_configuration():
@@ -20,7 +11,7 @@ def test_import_waits_with_what_is_heavy_and_changes_no_configuration():
         "heavy = ('trimesh', 'PIL', 'skimage', 'optimistix', 'beartype')\n"
         "print(light + [m for m in heavy if m in sys.modules])"
     )
-    assert run(code) == "[]"
+    assert printed("-c", code) == "[]\n"
 
 
 #: Ways to a public name, and to modules: each prints it.
@@ -51,7 +42,7 @@ def test_public_names_and_modules_load_on_demand_in_any_order():
         "        if name.split('.')[0] == 'pinhole_jax': del sys.modules[name]\n"
         "    exec(code, {})"
     )
-    assert run(code).splitlines() == ["Camera"] * len(WAYS)
+    assert printed("-c", code).splitlines() == ["Camera"] * len(WAYS)
 
 
 def test_unknown_name_raises_attribute_error():

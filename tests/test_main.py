@@ -15,6 +15,7 @@ from chosen import full, long
 from numpy.testing import assert_allclose, assert_array_equal
 from oracles import drawn, lump, turned, usual_camera
 from PIL import ExifTags, Image
+from processes import python
 from refusals import refusal
 from results import degrees
 from scipy.ndimage import binary_dilation
@@ -41,13 +42,8 @@ WAITED = r"( *\d+ s  .*\n)*"
 
 
 def run(words, cache, before="-m pinhole_jax"):
-    return subprocess.run(
-        [sys.executable, *before.split(), *words.split()],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "XDG_CACHE_HOME": str(cache)},
-        check=False,
-    )
+    environment = {**os.environ, "XDG_CACHE_HOME": str(cache)}
+    return python(*before.split(), *words.split(), env=environment)
 
 
 @pytest.fixture(scope="module")
@@ -259,8 +255,7 @@ def test_help_and_words_about_a_typo_need_no_jax(arguments, status, words):
         "atexit.register(lambda: print('loaded', [m for m in heavy if m in sys.modules]));"
         "runpy.run_module('pinhole_jax', run_name='__main__')"
     )
-    command = [sys.executable, "-c", code, *arguments.split()]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = python("-c", code, *arguments.split())
     assert done.returncode == status
     assert re.search(words, done.stdout + done.stderr)
     assert done.stdout.endswith("loaded []\n")
@@ -312,9 +307,10 @@ def test_closed_pipe_is_silent():
     )
     reader, writer = os.pipe()
     os.close(reader)
-    done = subprocess.run([sys.executable, "-c", code], stdout=writer, stderr=subprocess.PIPE)
+    streams = {"stdout": writer, "stderr": subprocess.PIPE}
+    done = python("-c", code, capture_output=False, **streams)
     os.close(writer)
-    assert (done.returncode, done.stderr) == (command.PIPE, b"")
+    assert (done.returncode, done.stderr) == (command.PIPE, "")
 
 
 @pytest.mark.parametrize(
@@ -401,9 +397,7 @@ command._verb = lambda _: SimpleNamespace(run=lost)
 signal.signal(signal.SIGINT, signal.default_int_handler)  # in the background it may be ignored
 sys.exit(command.main(["render", "a.obj", "c.json"]))
 """
-    done = subprocess.run(
-        [sys.executable, "-c", script], cwd=folder, capture_output=True, text=True
-    )
+    done = python("-c", script, cwd=folder)
     assert (done.returncode, done.stderr) == (130, "pinhole-jax render: interrupted\n")
     assert (folder / "half.txt").exists() == (within == "nullcontext()")
     (folder / "half.txt").unlink(missing_ok=True)

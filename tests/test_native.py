@@ -1,8 +1,6 @@
 """The compiled library: the numbers of the array form, batches, hostile input, life without it."""
 
 import os
-import subprocess
-import sys
 from functools import partial
 
 import jax
@@ -12,6 +10,7 @@ import pytest
 from fuzz_native import compare
 from numpy.testing import assert_allclose, assert_array_equal
 from oracles import lump
+from processes import printed
 from slopes import both_ways
 
 import pinhole_jax as pj
@@ -88,8 +87,7 @@ np.savez(sys.argv[1], available=is_available(), mask=seen[0], hits=seen[1])
     found = []
     for switch in ("0", "1"):
         path, environment = tmp_path / f"{switch}.npz", {**os.environ, SWITCH: switch}
-        run = [sys.executable, "-W", "error", "-c", code, path]
-        subprocess.run(run, env=environment, check=True)
+        printed("-W", "error", "-c", code, path, env=environment)
         found.append(np.load(path))
     arrays, compiled = found
     assert (bool(arrays["available"]), bool(compiled["available"])) == (False, True)

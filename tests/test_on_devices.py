@@ -4,11 +4,10 @@ All cases run in one process of four devices: this file itself.
 """
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from processes import printed
 
 
 @pytest.mark.long
@@ -16,9 +15,7 @@ def test_sharded_results_are_those_of_one_device():
     root = Path(__file__).parents[1]
     programs = str(root / ".pytest_cache" / "programs")
     kept = {"JAX_COMPILATION_CACHE_DIR": programs, "JAX_ENABLE_X64": "1", "PYTHONPATH": str(root)}
-    given = {"env": {**os.environ, **kept}, "capture_output": True, "text": True, "check": False}
-    done = subprocess.run([sys.executable, __file__], **given)
-    assert done.returncode == 0, done.stderr
+    printed(__file__, env={**os.environ, **kept})
 
 
 def main():
