@@ -13,15 +13,20 @@ def refusal(words):
     assert type(caught.value) is ValueError, caught.value
 
 
+def pairs(names, cases):
+    """Run a test for each key of a dict, with its value; the two have these names."""
+    return pytest.mark.parametrize(names.split(), cases.items())
+
+
 def refuses(function, good, cases):
     """A test that a function takes good arguments with no such change, by the words of its error.
 
     Assign it to a name that pytest finds.
     """
 
-    @pytest.mark.parametrize("words", cases)
-    def refused(words):
+    @pairs("words change", cases)
+    def refused(words, change):
         with refusal(words):
-            function(**{**good, **cases[words]})
+            function(**{**good, **change})
 
     return refused

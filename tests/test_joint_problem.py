@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 import trimesh
-from arm import TRUTH, posture
+from arm import TRUTH, posture, views as arm_views
 from oracles import drawn
-from refusals import refusal
+from refusals import refusal, refuses
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
@@ -63,98 +63,84 @@ BOTH, NOWHERE, HERE = {"camera": TRUTH, "other": TRUTH}, {"part": np.eye(4)}, np
 
 BENT = TRUTH.replace(lens=pj.Lens([48, 48], distortion=pj.Fisheye()))
 
-#: What is wrong: the message, changes of each view, and other arguments.
-WRONG = [
-    ("`views`: expected at least one JointView", [], {}),
-    ("`cameras`: expected left among them, got camera", [{"camera": "left"}], {}),
-    ("`cameras`: expected names that a view uses, got other", [{}], {"cameras": BOTH}),
-    ("`objects`: expected part among them, got none", [{"object": "part"}], {}),
-    (
-        r"`views\[0\].mount`: expected a real array of shape \(4, 4\)",
-        [{"mount": np.eye(3)}],
-        {},
-    ),
-    (r"`views\[0\].placed`: expected a rotation and a", [{"placed": 2 * HERE}], {}),
-    (
-        r"`rig\['left'\]`: expected a real array",
-        [{}],
-        {"rig": {"left": "here"}},
-    ),
-    (r"`views\[0\]`: `target`: expected the camera's", [{"target": np.ones((2, 3))}], {}),
-    ("`free`: expected something to fit, got none", [{}], {"free": ()}),
-    ("`search`: expected one unknown pose", [{}], {"free": "phi", "search": True}),
-    (
-        r"`views\[1\]`: expected a view of something unknown",
-        [{"object": "part"}, {}],
-        {"free": (), "objects": NOWHERE},
-    ),
-    (
-        "`cameras`: expected names other than 'rig'",
-        [{"camera": "rig"}, {"camera": "left"}],
-        {"cameras": {"rig": TRUTH, "left": TRUTH}, "rig": {"left": HERE}},
-    ),
-    ("`views`: expected names of scales that no camera has", [{"scale": "camera"}], {}),
-    (
-        "`prior`: expected a positive scale of 'size', got -1.0",
-        [{"scale": "size"}],
-        {"prior": {"size": {"scale": (-1, 0.1)}}},
-    ),
-    (
-        "`prior`: expected free parameters among scale, got 'x'",
-        [{"scale": "size"}],
-        {"prior": {"size": {"x": (0, 0.1)}}},
-    ),
-    ("`shared`: expected names among phi, .* got pose", [{}], {"shared": "pose"}),
-    (
-        "`shared`: expected groups of cameras among camera, got 'left'",
-        [{}],
-        {"shared": {"phi": [("camera", "left")]}},
-    ),
-    (
-        "`shared`: expected each camera in one group of phi, got more",
-        [{}],
-        {"shared": {"phi": [("camera",), ("camera",)]}},
-    ),
-    (
-        "`bounds`: expected the same of phi for camera and other, which share it",
-        [{}, {"camera": "other"}],
-        {"cameras": BOTH, "shared": "phi", "bounds": {"other": {"phi": (0.5, 0.7)}}},
-    ),
-    (
-        "`prior`: expected free parameters among e_x, e_y, e_z, got 'phi'",
-        [{}],
-        {"prior": {"phi": (0.6, 0.1)}},
-    ),
-    (
-        "`prior`: expected names among camera, got 'left'",
-        [{}],
-        {"prior": {"left": {"e_x": (0, 1)}}},
-    ),
-    (
-        "`prior`: expected a positive deviation of 'x', got 0.0",
-        [{"object": "part"}],
-        {"objects": NOWHERE, "free": (), "prior": {"part": {"x": (0, 0)}}},
-    ),
-    (
-        "`cameras`: expected distortions of one kind to share, got Brown",
-        [{}, {"camera": "other"}],
-        {"cameras": {**BOTH, "other": BENT}, "shared": "k1"},
-    ),
-    ("`joint_zeros`: expected views with a `posture`", [{}], {"joint_zeros": 0.01}),
-    (
-        r"`joint_zeros`: expected no `mount` with a `posture`.*views\[0\]",
-        [{"posture": hinged(), "mount": HERE}],
-        {"joint_zeros": 0.01},
-    ),
-    (r"`views\[0\].posture`: expected a Posture or None, got list", [{"posture": [0.1]}], {}),
-]
+
+def joint(views=({},), cameras=TRUTH, **more):
+    """Fit views of the arm, of which these fields are changed."""
+    changed = [view._replace(**change) for view, change in zip(arm_views(), views, strict=False)]
+    return pj.fit_joint(changed, cameras, **more)
 
 
-@pytest.mark.parametrize(("words", "changes", "arguments"), WRONG)
-def test_wrong_arguments_are_named(views, words, changes, arguments):
-    changed = [view._replace(**change) for view, change in zip(views, changes, strict=False)]
-    with refusal(words):
-        pj.fit_joint(**{"views": changed, "cameras": TRUTH, **arguments})
+test_wrong_arguments_are_named = refuses(
+    joint,
+    {},
+    {
+        "`views`: expected at least one JointView": {"views": []},
+        "`cameras`: expected left among them, got camera": {"views": [{"camera": "left"}]},
+        "`cameras`: expected names that a view uses, got other": {"cameras": BOTH},
+        "`objects`: expected part among them, got none": {"views": [{"object": "part"}]},
+        r"`views\[0\].mount`: expected a real array of shape \(4, 4\)": {"views": [{"mount": np.eye(3)}]},
+        r"`views\[0\].placed`: expected a rotation and a": {"views": [{"placed": 2 * HERE}]},
+        r"`rig\['left'\]`: expected a matrix": {"rig": {"left": "here"}},
+        r"`views\[0\]`: `target`: expected the camera's": {"views": [{"target": np.ones((2, 3))}]},
+        "`free`: expected something to fit, got none": {"free": ()},
+        "`search`: expected one unknown pose": {"free": "phi", "search": True},
+        r"`views\[1\]`: expected a view of something unknown": {
+            "views": [{"object": "part"}, {}],
+            "free": (),
+            "objects": NOWHERE,
+        },
+        "`cameras`: expected names other than 'rig'": {
+            "views": [{"camera": "rig"}, {"camera": "left"}],
+            "cameras": {"rig": TRUTH, "left": TRUTH},
+            "rig": {"left": HERE},
+        },
+        "`views`: expected names of scales that no camera has": {"views": [{"scale": "camera"}]},
+        "`prior`: expected a positive scale of 'size', got -1.0": {
+            "views": [{"scale": "size"}],
+            "prior": {"size": {"scale": (-1, 0.1)}},
+        },
+        "`prior`: expected free parameters among scale, got 'x'": {
+            "views": [{"scale": "size"}],
+            "prior": {"size": {"x": (0, 0.1)}},
+        },
+        "`shared`: expected names among phi, .* got pose": {"shared": "pose"},
+        "`shared`: expected groups of cameras among camera, got 'left'": {
+            "shared": {"phi": [("camera", "left")]}
+        },
+        "`shared`: expected each camera in one group of phi, got more": {
+            "shared": {"phi": [("camera",), ("camera",)]}
+        },
+        "`bounds`: expected the same of phi for camera and other, which share it": {
+            "views": [{}, {"camera": "other"}],
+            "cameras": BOTH,
+            "shared": "phi",
+            "bounds": {"other": {"phi": (0.5, 0.7)}},
+        },
+        "`prior`: expected free parameters among e_x, e_y, e_z, got 'phi'": {
+            "prior": {"phi": (0.6, 0.1)}
+        },
+        "`prior`: expected names among camera, got 'left'": {"prior": {"left": {"e_x": (0, 1)}}},
+        "`prior`: expected a positive deviation of 'x', got 0.0": {
+            "views": [{"object": "part"}],
+            "objects": NOWHERE,
+            "free": (),
+            "prior": {"part": {"x": (0, 0)}},
+        },
+        "`cameras`: expected distortions of one kind to share, got Brown": {
+            "views": [{}, {"camera": "other"}],
+            "cameras": {**BOTH, "other": BENT},
+            "shared": "k1",
+        },
+        "`joint_zeros`: expected views with a `posture`": {"joint_zeros": 0.01},
+        r"`joint_zeros`: expected no `mount` with a `posture`.*views\[0\]": {
+            "views": [{"posture": hinged(), "mount": HERE}],
+            "joint_zeros": 0.01,
+        },
+        r"`views\[0\].posture`: expected a Posture or None, got list": {
+            "views": [{"posture": [0.1]}]
+        },
+    },
+)
 
 
 def test_mesh_with_unshared_vertices_warns():

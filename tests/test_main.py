@@ -16,7 +16,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from oracles import drawn, lump, turned, usual_camera
 from PIL import ExifTags, Image
 from processes import python
-from refusals import refusal
+from refusals import pairs, refusal
 from results import degrees
 from scipy.ndimage import binary_dilation
 from test_plot import fit_of
@@ -137,52 +137,46 @@ def test_photo_refines_the_camera(here, capsys):
     )  # 2 px too large: 3.4 without the photo
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ("fit no.ply dot.png --camera start.json", "`MESH`: expected a mesh file"),
-        ("fit bumpy.ply no.png --camera start.json", "`MASK`: expected an image file"),
-        (
-            "fit bumpy.ply small.png --camera start.json",
-            "`--camera`: expected a camera of the mask's size 9 x 9, got one of 96 x 80; if",
+@pairs(
+    "words message",
+    {
+        "fit no.ply dot.png --camera start.json": "`MESH`: expected a mesh file",
+        "fit bumpy.ply no.png --camera start.json": "`MASK`: expected an image file",
+        "fit bumpy.ply small.png --camera start.json": (
+            "`--camera`: expected a camera of the mask's size 9 x 9, got one of 96 x 80; if"
         ),
-        ("fit bumpy.ply black.png --camera start.json", "`MASK`: expected a mask that covers"),
-        ("fit bumpy.ply dot.png --camera start.json --free zoom", "`--free`: expected names"),
-        ("fit bumpy.ply dot.png", "give `--camera`, `--K` or `--fov`, or add phi to `--free`"),
-        (
-            "fit bumpy.ply dot.png --fov 34 --image small.png",
-            "`--image`: expected the mask's size 96 x 80, got 9 x 9",
+        "fit bumpy.ply black.png --camera start.json": "`MASK`: expected a mask that covers",
+        "fit bumpy.ply dot.png --camera start.json --free zoom": "`--free`: expected names",
+        "fit bumpy.ply dot.png": "give `--camera`, `--K` or `--fov`, or add phi to `--free`",
+        "fit bumpy.ply dot.png --fov 34 --image small.png": (
+            "`--image`: expected the mask's size 96 x 80, got 9 x 9"
         ),
-        ("fit bumpy.ply dot.png --fov 34 --refine", "`--refine`: expected a photo"),
-        (
-            "fit bumpy.ply black.png --fov 34 --mask-from label=9",
-            "no pixel with the label 9; there are 0",
+        "fit bumpy.ply dot.png --fov 34 --refine": "`--refine`: expected a photo",
+        "fit bumpy.ply black.png --fov 34 --mask-from label=9": (
+            "no pixel with the label 9; there are 0"
         ),
-        (
-            "fit bumpy.ply inverted.png --fov 34",
+        "fit bumpy.ply inverted.png --fov 34": (
             "covers 100% of its border, like a black object on white, or labels amid void; give"
-            " `--invert`, or where it is right `--mask-from luminance`",
+            " `--invert`, or where it is right `--mask-from luminance`"
         ),
-        ("fit bumpy.ply sevens.png --fov 34", "`--mask-from label=7`"),
-        ("fit bumpy.ply dot.png --fov 234", "`--fov`: expected degrees between 1 and 180, got 234"),
-        (
-            "fit bumpy.ply dot.png --fov 34 --free phi",
-            "`--camera`: expected a camera to start from, as the pose is not free",
+        "fit bumpy.ply sevens.png --fov 34": "`--mask-from label=7`",
+        "fit bumpy.ply dot.png --fov 234": "`--fov`: expected degrees between 1 and 180, got 234",
+        "fit bumpy.ply dot.png --fov 34 --free phi": (
+            "`--camera`: expected a camera to start from, as the pose is not free"
         ),
-        ("fit bumpy.ply dot.png --K nan 1 1 1", "`--K`: expected 4 or 9 finite numbers, got 'nan"),
-        ("fit bumpy.ply bumpy.ply --fov 34", "bumpy.ply': cannot identify image file\n"),
-        ("fit dot.png bumpy.ply --fov 34", "are `MESH` and `MASK` exchanged?"),
-        ("render bumpy.ply black.png", "`CAMERA`: expected a folder (COLMAP) or one of .json"),
-        (
-            "render bumpy.ply endless.json",
-            "`CAMERA`: expected at most 178956970 pixels, got 20000 x 20000 (in 'endless.json')",
+        "fit bumpy.ply dot.png --K nan 1 1 1": "`--K`: expected 4 or 9 finite numbers, got 'nan",
+        "fit bumpy.ply bumpy.ply --fov 34": "bumpy.ply': cannot identify image file\n",
+        "fit dot.png bumpy.ply --fov 34": "are `MESH` and `MASK` exchanged?",
+        "render bumpy.ply black.png": "`CAMERA`: expected a folder (COLMAP) or one of .json",
+        "render bumpy.ply endless.json": (
+            "`CAMERA`: expected at most 178956970 pixels, got 20000 x 20000 (in 'endless.json')"
         ),
-        ("check truth.json bumpy.ply", "`MASK`: expected one image of MESH"),
-        ("check truth.json bumpy.ply a.png b.png", "`MASK`: expected one image of MESH"),
-        ("check truth.json arm.urdf joints.csv", "`MASK`: expected JOINTS, and an image"),
-        ("check none.json bumpy.ply a.png", "`CAMERA`: expected"),
-        ("convert truth.json y.glb --from usd", "`--from`: expected one of json, opencv"),
-    ],
+        "check truth.json bumpy.ply": "`MASK`: expected one image of MESH",
+        "check truth.json bumpy.ply a.png b.png": "`MASK`: expected one image of MESH",
+        "check truth.json arm.urdf joints.csv": "`MASK`: expected JOINTS, and an image",
+        "check none.json bumpy.ply a.png": "`CAMERA`: expected",
+        "convert truth.json y.glb --from usd": "`--from`: expected one of json, opencv",
+    },
 )
 def test_bad_input_is_one_line_and_status_2(here, words, message, capsys):
     output = "" if words.startswith("convert") else " -o nothing"
@@ -283,13 +277,13 @@ def test_help_has_groups_and_an_example_of_each_command(capsys):
     assert re.search(r"^camera:$(.|\n)*^masks:$(.|\n)*^output:$", help_of("fit", capsys), re.M)
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ("fit a.ply b.png --fvo 3", "--fvo 3 (did you mean --fov?)"),
-        ("fit a.ply", "required: MASK"),
-        ("render a.ply b.json --fov 3", "unrecognized arguments: --fov 3"),
-    ],
+@pairs(
+    "words message",
+    {
+        "fit a.ply b.png --fvo 3": "--fvo 3 (did you mean --fov?)",
+        "fit a.ply": "required: MASK",
+        "render a.ply b.json --fov 3": "unrecognized arguments: --fov 3",
+    },
 )
 def test_typo_shows_the_usage_of_its_command(words, message, capsys):
     with pytest.raises(SystemExit, match="2"):
@@ -474,44 +468,41 @@ def test_cropped_and_resized_photos_keep_the_rays(here):
     assert_allclose((phi, lens.aspect), (np.deg2rad(30), 2))
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ("--fov 30 --crop 0 0 96 80", "`--crop`: expected `--camera` or `--K` with it"),
-        ("--fov 30 --dist 0.1 0 0 0", "`--dist`: expected `--K` with it, got none"),
-        ("--K 90 91 47.5 40 --dist 0.1", "`--dist`: expected 4 or 5 or 8 finite numbers"),
-        (
-            "--K 90 91 47 40 --crop 0 0 48 40",
-            "`--crop`: expected the size of the mask.* 96 x 80, got 48 x 40; .* `--resize` 48 40",
+@pairs(
+    "words message",
+    {
+        "--fov 30 --crop 0 0 96 80": "`--crop`: expected `--camera` or `--K` with it",
+        "--fov 30 --dist 0.1 0 0 0": "`--dist`: expected `--K` with it, got none",
+        "--K 90 91 47.5 40 --dist 0.1": "`--dist`: expected 4 or 5 or 8 finite numbers",
+        "--K 90 91 47 40 --crop 0 0 48 40": (
+            "`--crop`: expected the size of the mask.* 96 x 80, got 48 x 40; .* `--resize` 48 40"
         ),
-        (
-            "--K 90 91 47 40 --crop 0 0 48 40 --resize 50 40",
-            "`--crop`: expected the size of the mask or of `--resize`, 50 x 40, got 48 x 40",
+        "--K 90 91 47 40 --crop 0 0 48 40 --resize 50 40": (
+            "`--crop`: expected the size of the mask or of `--resize`, 50 x 40, got 48 x 40"
         ),
-        ("--K 90 91 47 40 --crop 0 0 0 40", "`--crop`: expected a width and height"),
-        ("--K 90 91 47 40 --resize 0 40", "`--resize`: expected a width and height"),
-        ("--K 0 91 47 40", "`--K`: expected positive focal lengths in px"),
-        (
-            "--camera start.json --resize 9 9",
-            "`--camera`: expected a camera of the mask's size 9 x 9, got one of 96 x 80",
+        "--K 90 91 47 40 --crop 0 0 0 40": "`--crop`: expected a width and height",
+        "--K 90 91 47 40 --resize 0 40": "`--resize`: expected a width and height",
+        "--K 0 91 47 40": "`--K`: expected positive focal lengths in px",
+        "--camera start.json --resize 9 9": (
+            "`--camera`: expected a camera of the mask's size 9 x 9, got one of 96 x 80"
         ),
-        ("--camera no.json", "`--camera`: expected a camera file, got 'no.json': no such"),
-        ("--fov 0.577", r"`--fov`: expected degrees between 1 and 180, got 0\.577"),
-    ],
+        "--camera no.json": "`--camera`: expected a camera file, got 'no.json': no such",
+        "--fov 0.577": r"`--fov`: expected degrees between 1 and 180, got 0\.577",
+    },
 )
 def test_options_that_do_not_go_together_are_named(here, words, message):
     with refusal(message):
         start_of(words)
 
 
-@pytest.mark.parametrize(
-    ("text", "told"),
-    [
-        ("`path`: expected a file", "`MESH`: expected a file"),
-        ("`phi`: got nothing", "`phi`: got nothing"),
-        ("give `size` (on the command line: --size W H)", "give `--size W H`"),
-        ("or `mask_from` alpha (--mask-from alpha)", "or `--mask-from alpha`"),
-    ],
+@pairs(
+    "text told",
+    {
+        "`path`: expected a file": "`MESH`: expected a file",
+        "`phi`: got nothing": "`phi`: got nothing",
+        "give `size` (on the command line: --size W H)": "give `--size W H`",
+        "or `mask_from` alpha (--mask-from alpha)": "or `--mask-from alpha`",
+    },
 )
 def test_errors_name_the_arguments_of_the_command(text, told):
     with pytest.raises(ValueError, match=f"^{re.escape(told)}$"), named(path="MESH"):
@@ -551,17 +542,17 @@ def test_principal_point_outside_the_picture_is_refused(K):
         start_of(f"--K {K}", (640, 240))
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ("--K 90 91 47 40", ""),
-        ("--K 90 91 44 46", ""),
-        ("--K 90 91 96 80 --resize 192 160", ""),
-        ("--K 90 91 300 20 --crop 250 0 96 80", ""),
-        ("--K 90 91 60 40", "far from the middle, at (60, 40) px in a picture of 96 x 80: is the"),
-        ("--fov 4", ""),
-        ("--fov 1.2", "note: `--fov`: got 1.2: degrees?"),
-    ],
+@pairs(
+    "options words",
+    {
+        "--K 90 91 47 40": "",
+        "--K 90 91 44 46": "",
+        "--K 90 91 96 80 --resize 192 160": "",
+        "--K 90 91 300 20 --crop 250 0 96 80": "",
+        "--K 90 91 60 40": "far from the middle, at (60, 40) px in a picture of 96 x 80: is the",
+        "--fov 4": "",
+        "--fov 1.2": "note: `--fov`: got 1.2: degrees?",
+    },
 )
 def test_unlikely_cameras_are_noted(options, words, capsys):
     start_of(options)

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from numpy.testing import assert_array_equal
 from oracles import body, lump
-from refusals import refusal
+from refusals import refusal, refuses
 
 import pinhole_jax as pj
 from pinhole_jax._scene.scene import (
@@ -71,43 +71,46 @@ def test_mesh_compiles_nothing(compiled):
     assert not compiled
 
 
-@pytest.mark.parametrize(
-    ("make", "given", "message"),
-    [
-        (
-            pj.Mesh,
-            (np.zeros((4, 2)), FACES),
-            r"`vertices`: expected .* \(N, 3\), got shape \(4, 2\)",
-        ),
-        (pj.Mesh, (TETRAHEDRON * np.nan, FACES), "`vertices`: expected finite values, got nan at"),
-        *(
-            (pj.Mesh, (TETRAHEDRON, faces), f"`faces`: expected {words}")
-            for faces, words in (
-                (FACES[:, :2], r"shape \(F, 3\), got \(4, 2\)"),
-                (FACES * 1.0, "integers, got dtype float64"),
-                ([[0, 1, 2**63 - 1]], "indices from 0 to 3, got 0"),
-                (np.uint64([[0, 1, 2**63]]), "indices from 0"),
-                (FACES + 1, "indices from 0 to 3, got 1 to 4"),
-                (FACES - 1, "indices from 0 to 3, got -1 to 2"),
-            )
-        ),
-        (
-            jax.jit(lambda f: pj.Mesh(TETRAHEDRON, f).vertices),
-            (FACES,),
-            "`faces`: expected a concrete array",
-        ),
-        (pj.Spheres, ([[0, 0]], [1.0]), r"`centers`: expected .* got shape \(1, 2\)"),
-        (pj.Spheres, ([[0, 0, 0]], [1.0, 2.0]), r"`radii`: expected .* \(1,\), got shape \(2,\)"),
-        (pj.Spheres, ([[0, 0, 0]], [0.0]), "`radii`: expected positive radii, got 0.0"),
-        (pj.Spheres, ([[0, np.inf, 0]], [1.0]), "`centers`: expected finite values, got inf"),
-        (pj.Scene, ("bunny.obj",), "`mesh`: expected a Mesh or None, got str"),
-        (pj.Scene, (trimesh.creation.box(),), "`mesh`: expected a Mesh .* got Trimesh; give `Mesh"),
-        (pj.Scene, (None, [1, 2]), "`spheres`: expected Spheres or None, got list"),
-    ],
+test_bad_meshes_are_refused = refuses(
+    pj.Mesh,
+    {"vertices": TETRAHEDRON, "faces": FACES},
+    {
+        r"`vertices`: expected .* \(N, 3\), got shape \(4, 2\)": {"vertices": np.zeros((4, 2))},
+        "`vertices`: expected finite values, got nan at": {"vertices": TETRAHEDRON * np.nan},
+        r"`faces`: expected shape \(F, 3\), got \(4, 2\)": {"faces": FACES[:, :2]},
+        "`faces`: expected integers, got dtype float64": {"faces": FACES * 1.0},
+        "`faces`: expected indices from 0 to 3, got 0": {"faces": [[0, 1, 2**63 - 1]]},
+        "`faces`: expected indices from 0": {"faces": np.uint64([[0, 1, 2**63]])},
+        "`faces`: expected indices from 0 to 3, got 1 to 4": {"faces": FACES + 1},
+        "`faces`: expected indices from 0 to 3, got -1 to 2": {"faces": FACES - 1},
+    },
 )
-def test_bad_input_is_refused(make, given, message):
-    with refusal(message):
-        make(*given)
+
+test_bad_spheres_are_refused = refuses(
+    pj.Spheres,
+    {"centers": [[0, 0, 0]], "radii": [1.0]},
+    {
+        r"`centers`: expected .* got shape \(1, 2\)": {"centers": [[0, 0]]},
+        r"`radii`: expected .* \(1,\), got shape \(2,\)": {"radii": [1.0, 2.0]},
+        "`radii`: expected positive radii, got 0.0": {"radii": [0.0]},
+        "`centers`: expected finite values, got inf": {"centers": [[0, np.inf, 0]]},
+    },
+)
+
+test_parts_of_a_scene_that_are_none_are_refused = refuses(
+    pj.Scene,
+    {},
+    {
+        "`mesh`: expected a Mesh or None, got str": {"mesh": "bunny.obj"},
+        "`mesh`: expected a Mesh .* got Trimesh; give `Mesh": {"mesh": trimesh.creation.box()},
+        "`spheres`: expected Spheres or None, got list": {"spheres": [1, 2]},
+    },
+)
+
+
+def test_traced_faces_are_refused():
+    with refusal("`faces`: expected a concrete array"):
+        jax.jit(lambda faces: pj.Mesh(TETRAHEDRON, faces).vertices)(FACES)
 
 
 def test_trimesh_mesh_is_accepted():

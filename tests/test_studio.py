@@ -17,7 +17,7 @@ import trimesh
 from numpy.testing import assert_allclose, assert_array_equal
 from oracles import drawn, lump
 from PIL import Image
-from refusals import refusal
+from refusals import pairs, refusal
 from results import fit_at
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
@@ -258,25 +258,25 @@ def stroke(**changes):
     return {"strokes": [{"kind": "add", "radius_px": 1, "points": [[1, 2]], **changes}]}
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"schema": "other"}, "`schema`: expected one of pinhole_jax.studio/1, got 'other'"),
-        ({"mesh": 3}, "`mesh`: expected a text, got 3"),
-        ({"camera": {}}, "`e`: expected a camera's field"),
-        ({"known_phi": 4}, "`known_phi`: expected an angle"),
-        ({"free": ["nose"]}, r"`free`: expected some of .*, got \['nose'\]"),
-        ({"strokes": {}}, "`strokes`: expected a list"),
-        ({"strokes": [3]}, "`stroke`: expected a `kind` among object, background, .* got 3"),
-        (stroke(kind="paint"), "`stroke`: .* got {'kind': 'paint'"),
-        (stroke(points=[[1]]), "`stroke`: .* `points`"),
-        (stroke(radius_px=0), "`stroke`: .* a `radius_px` above 0"),
-        (stroke(points=[]), "`stroke`: .* 1 to 100000 `points`"),
-        (stroke(points=[[1, 1e9]]), "`stroke`: .* on the picture"),
-        ({"strokes": [{"mask": "no picture"}]}, "`mask`: expected a PNG file in base64"),
-        ({"strokes": [{"mask": png(np.zeros((3, 3), np.uint8))}]}, "`mask`: expected 8 bits, 64 x"),
-        ({"lines": [[1, 2]]}, "`line`: expected 4 finite numbers"),
-    ],
+@pairs(
+    "words changes",
+    {
+        "`schema`: expected one of pinhole_jax.studio/1, got 'other'": {"schema": "other"},
+        "`mesh`: expected a text, got 3": {"mesh": 3},
+        "`e`: expected a camera's field": {"camera": {}},
+        "`known_phi`: expected an angle": {"known_phi": 4},
+        r"`free`: expected some of .*, got \['nose'\]": {"free": ["nose"]},
+        "`strokes`: expected a list": {"strokes": {}},
+        "`stroke`: expected a `kind` among object, background, .* got 3": {"strokes": [3]},
+        "`stroke`: .* got {'kind': 'paint'": stroke(kind="paint"),
+        "`stroke`: .* `points`": stroke(points=[[1]]),
+        "`stroke`: .* a `radius_px` above 0": stroke(radius_px=0),
+        "`stroke`: .* 1 to 100000 `points`": stroke(points=[]),
+        "`stroke`: .* on the picture": stroke(points=[[1, 1e9]]),
+        "`mask`: expected a PNG file in base64": {"strokes": [{"mask": "no picture"}]},
+        "`mask`: expected 8 bits, 64 x": {"strokes": [{"mask": png(np.zeros((3, 3), np.uint8))}]},
+        "`line`: expected 4 finite numbers": {"lines": [[1, 2]]},
+    },
 )
 def test_bad_session_is_refused_by_name(bench, kept, changes, words):
     with refusal(words) as caught:
@@ -597,18 +597,18 @@ def test_command_without_aiohttp_names_the_extra(monkeypatch, capsys, workpiece)
     assert "pip install 'pinhole-jax[studio]'" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ("", "expected MESH and PHOTO, or --session FILE"),
-        ("part.obj", "expected MESH and PHOTO"),
-        ("none.obj photo.png", "`MESH`: .*no such file"),
-        ("part.obj none.png", "`PHOTO`: .*no such file"),
-        ("--session s.json --fov 30", "`--session`: expected no MESH, PHOTO"),
-        ("--session part.obj", "`--session`: expected "),
-        ("part.obj photo.png --port 70000", "`--port`: expected a port, 0 to 65535, got 70000"),
-        ("part.obj photo.png --mask small.png", "`--mask`: expected the photo's size 64 x 64"),
-    ],
+@pairs(
+    "arguments words",
+    {
+        "": "expected MESH and PHOTO, or --session FILE",
+        "part.obj": "expected MESH and PHOTO",
+        "none.obj photo.png": "`MESH`: .*no such file",
+        "part.obj none.png": "`PHOTO`: .*no such file",
+        "--session s.json --fov 30": "`--session`: expected no MESH, PHOTO",
+        "--session part.obj": "`--session`: expected ",
+        "part.obj photo.png --port 70000": "`--port`: expected a port, 0 to 65535, got 70000",
+        "part.obj photo.png --mask small.png": "`--mask`: expected the photo's size 64 x 64",
+    },
 )
 def test_command_says_what_is_wrong(arguments, words, capsys, workpiece, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
