@@ -313,7 +313,7 @@ def test_wheel_is_as_small_and_imports_as_fast_as_its_page_says():
     code = (
         "import time; t = time.process_time(); import pinhole_jax; print(time.process_time() - t)"
     )
-    took = [float(printed("-c", code)) for _ in range(3)]
+    took = [float(printed("-c", code)) for _ in range(2)]
     assert min(took) < 2 * seconds  # (a machine may be half as fast)
 
 

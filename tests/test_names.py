@@ -6,9 +6,9 @@ import io
 import re
 import tokenize
 from collections import defaultdict
+from functools import cache
 from pathlib import Path
 
-import pytest
 from test_house import ROOT, texts
 
 FOLDERS = ("pinhole_jax", "tests", "experiments")
@@ -19,6 +19,7 @@ WORD = re.compile(r"(?<![\w.])([A-Za-z_]\w*)(?:\.([A-Za-z]\w*))?")
 PATH = re.compile(rf"\b(?:{'|'.join(FOLDERS)})/[\w/]+\.\w+")
 
 
+@cache
 def prose_and_names(path):
     """Return a file's comments and docstrings, and all names in its code."""
     tokens = [*tokenize.generate_tokens(io.StringIO(texts()[path.as_posix()]).readline)]
@@ -26,41 +27,43 @@ def prose_and_names(path):
     return "\n".join(prose), {t.string for t in tokens if t.type == tokenize.NAME}
 
 
-TOLD = {path: prose_and_names(path) for path in SOURCES}
-#: The names in modules of the package, by their last name; formats and mesh files both have a
-#: `gltf`.
-MODULES = defaultdict(set)
-for path in [path for path in SOURCES if path.parts[0] == "pinhole_jax"]:
-    MODULES[path.parent.name if path.stem == "__init__" else path.stem] |= TOLD[path][1]
-    MODULES[path.parent.name].add(path.stem)
-del MODULES["pinhole_jax"]
+@cache
+def modules():
+    """Return the names in modules of the package, by their last name; formats and mesh files both
+    have a `gltf`."""
+    found = defaultdict(set)
+    for path in SOURCES:
+        if path.parts[0] == "pinhole_jax":
+            name = path.parent.name if path.stem == "__init__" else path.stem
+            found[name] |= prose_and_names(path)[1]
+            found[path.parent.name].add(path.stem)
+    del found["pinhole_jax"]
+    return found
 
 
 def wrong_names(prose, names):
     """Return code in prose that names no module, nothing that one has, nothing in the file."""
 
     def exists(word, attribute):
-        if word in MODULES and word not in names:
-            return attribute in ("", "py") or attribute in MODULES[word]
+        if word in modules() and word not in names:
+            return attribute in ("", "py") or attribute in modules()[word]
         return not word.startswith("_") or word in names
 
     return [c for c in CODE.findall(prose) if not all(exists(*word) for word in WORD.findall(c))]
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=str)
-def test_comments_name_what_there_is(path):
-    prose, names = TOLD[path]
-    # Experiments and tests have modules, too.
-    names = names | {neighbour.stem for neighbour in (ROOT / path.parent).glob("*.py")} - {*MODULES}
-    assert wrong_names(prose, names) == []
+def test_comments_name_what_there_is():
+    for path in SOURCES:
+        prose, names = prose_and_names(path)
+        # Experiments and tests have modules, too.
+        beside = {other.stem for other in (ROOT / path.parent).glob("*.py")} - {*modules()}
+        assert wrong_names(prose, names | beside) == [], path
 
 
-@pytest.mark.parametrize(
-    "name", sorted({*texts(), "pyproject.toml"} - {"CHANGELOG.md", "docs/hooks.py"})
-)
-def test_files_that_are_named_exist(name):
-    text = (ROOT / name).read_text(encoding="utf-8")
-    assert [name for name in PATH.findall(text) if not (ROOT / name).exists()] == []
+def test_files_that_are_named_exist():
+    for name in {*texts(), "pyproject.toml"} - {"CHANGELOG.md", "docs/hooks.py"}:
+        text = (ROOT / name).read_text(encoding="utf-8")
+        assert [found for found in PATH.findall(text) if not (ROOT / found).exists()] == [], name
 
 
 def test_wrong_name_is_found():
@@ -68,9 +71,9 @@ def test_wrong_name_is_found():
     assert wrong_names(prose, {"_own"}) == ["solver.Stopped", "_nowhere", "io.read_camera"]
 
 
-@pytest.mark.parametrize("path", [p for p in SOURCES if p.parts[0] == "experiments"], ids=str)
-def test_experiments_import_existing_names(path):
-    for node in ast.walk(ast.parse(texts()[path.as_posix()])):
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("pinhole_jax"):
-            known = {*dir(importlib.import_module(node.module)), *MODULES}
-            assert {name.name for name in node.names} <= known
+def test_experiments_import_existing_names():
+    for path in [path for path in SOURCES if path.parts[0] == "experiments"]:
+        for node in ast.walk(ast.parse(texts()[path.as_posix()])):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("pinhole_jax"):
+                known = {*dir(importlib.import_module(node.module)), *modules()}
+                assert {name.name for name in node.names} <= known, path
