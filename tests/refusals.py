@@ -15,7 +15,7 @@ def refusal(words):
 
 def pairs(names, cases):
     """Run a test for each key of a dict, with its value; the two have these names."""
-    return pytest.mark.parametrize(names.split(), cases.items())
+    return pytest.mark.parametrize(names, cases.items())
 
 
 def refuses(function, good, cases):
@@ -24,7 +24,7 @@ def refuses(function, good, cases):
     Assign it to a name that pytest finds.
     """
 
-    @pairs("words change", cases)
+    @pairs("words, change", cases)
     def refused(words, change):
         with refusal(words):
             function(**{**good, **change})

@@ -51,7 +51,7 @@ def alike(vertices, faces=()):
     return Alike(np.asarray(vertices), faces, np.zeros(3))
 
 
-@pytest.mark.parametrize(("turn", "scale"), first(1, [(TURN, 1e-3), (TURN, 1e4), (np.eye(3), 1.0)]))
+@pytest.mark.parametrize("turn, scale", first(1, [(TURN, 1e-3), (TURN, 1e4), (np.eye(3), 1.0)]))
 def test_axis_and_facets_are_recovered(turn, scale):
     for body, sections in ROUND:
         (line,) = alike(scale * (np.asarray(body.vertices) @ turn.T + SHIFT)).lines

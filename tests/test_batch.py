@@ -332,7 +332,7 @@ SPLIT = {
 
 
 @pytest.mark.parametrize(
-    ("file", "text", "message"),
+    "file, text, message",
     [
         (LABELS, "[]", r"`path`: expected a JSON object, got \[\] in .*scene_gt.json'"),
         (LABELS, '{"0": 3}', r"`0`: expected a list, got 3 \(in '.*scene_gt.json'\)"),
@@ -671,7 +671,7 @@ def test_command_hands_its_options_to_each_record(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    "arguments, words",
     [
         (["-o", "none"], "`DATASET`: expected a data set"),
         (["none.csv", "-o", "none", "--shard", "one"], "`--shard`: expected I/N"),

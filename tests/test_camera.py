@@ -20,7 +20,7 @@ K = np.array([[70.0, 0, 30], [0, 65, 26], [0, 0, 1]])
 
 
 @pytest.mark.parametrize(
-    ("e", "p", "u", "basis"),
+    "e, p, u, basis",
     [
         (E, P, U, [[1, 0, 0], [0, 1, 0], [0, 0, -1]]),
         # v = (3,4,0)/5; v x (0,0,7) = (28,-21,0)/5 -> b1 = (4,-3,0)/5; b2 = b1 x v = (0,0,1)
@@ -90,7 +90,7 @@ def test_camera_from_K_projects_as_by_hand_and_differentiates():
 
 
 @pytest.mark.parametrize(
-    ("e", "p", "dtype"),
+    "e, p, dtype",
     [
         (E, P, "float64"),
         (np.array(E, np.float32), np.array(P), "float64"),

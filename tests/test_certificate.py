@@ -160,7 +160,7 @@ def test_sign_flipped_in_one_pixel_is_caught(weak_pixel, gain):
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("gains", "verdict"),
+    "gains, verdict",
     [
         ({"reverse": 0.0}, "reverse differs"),
         ({"forward": np.nan}, "not finite"),
@@ -181,7 +181,7 @@ def test_parameter_whose_derivative_is_nan_is_named():
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("wrong", "verdict"),
+    "wrong, verdict",
     [
         (lambda c, s: jnp.log(-blob(c, s)), "not finite"),
         # Out of the frame derivatives and differences are all 0: that proves nothing.

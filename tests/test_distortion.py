@@ -113,7 +113,7 @@ def test_continuation_beyond_the_fold_is_smooth_and_increasing(model):
 
 
 @pytest.mark.parametrize(
-    ("model", "phi"), [(pj.BrownConrady(-0.4), 1.6), (pj.Fisheye(), 2.8), (pj.Fisheye(-0.3), 2.0)]
+    "model, phi", [(pj.BrownConrady(-0.4), 1.6), (pj.Fisheye(), 2.8), (pj.Fisheye(-0.3), 2.0)]
 )
 def test_lens_that_folds_within_the_film_is_refused(model, phi):
     with refusal("`lens`: expected a distortion that"):

@@ -27,7 +27,7 @@ def cases(count):
             yield trial, truth, turned(truth, axis, angle, 1 + 0.05 * sign, 1 - 0.05 * sign)
 
 
-@pytest.mark.parametrize(("convert", "worst"), first(1, [(lambda x: x, 1e-6), (single, 5e-3)]))
+@pytest.mark.parametrize("convert, worst", first(1, [(lambda x: x, 1e-6), (single, 5e-3)]))
 def test_pose_and_focal_length_from_exact_masks(convert, worst, exhaustive):
     for trial, truth, start in cases(20 if exhaustive else 2):
         seen = lump(4, trial % 4)
@@ -40,7 +40,7 @@ def test_pose_and_focal_length_from_exact_masks(convert, worst, exhaustive):
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("free", "change"),
+    "free, change",
     [
         full("position", {"e": [0.4, 1.1, 5.2], "p": CAMERA.p + np.array([0.1, 0.1, 0.2])}),
         full("orientation", {"p": [0.2, 0.1, 0]}),

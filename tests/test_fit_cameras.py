@@ -146,7 +146,7 @@ def test_view_with_outliers_is_named_and_spoils_no_other(masks):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("free", "off"), [("position", 0.05), ((), 0.0)])
+@pytest.mark.parametrize("free, off", [("position", 0.05), ((), 0.0)])
 def test_partly_free_and_frozen_poses(masks, free, off):
     """The cameras' orientations, or all of their poses, are known."""
     starts = [c.replace(e=c.e + off, p=c.p + off, phi=0.62) for c in TRUTHS[:2]]
@@ -188,7 +188,7 @@ test_bad_input_is_refused = refuses(
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("kind", "tolerance"), [("exact", 1e-4), full("noisy", 1e-2), full("hard", 3e-2)]
+    "kind, tolerance", [("exact", 1e-4), full("noisy", 1e-2), full("hard", 3e-2)]
 )
 def test_derivative_by_the_mesh_equals_refits(masks, kind, tolerance):
     """A fit stops within its tolerance, and the second derivatives of coverage jump."""

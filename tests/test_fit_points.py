@@ -261,7 +261,7 @@ def test_three_points_have_all_their_exact_poses_as_modes(seed):
 
 
 @pytest.mark.parametrize(
-    ("number", "free"),
+    "number, free",
     [
         (3, "pose"),
         long(4, ("pose", "phi", "aspect")),
@@ -351,7 +351,7 @@ LINE = np.linspace([-1.0, 0, 0], [1, 0.2, 0.1], 5)
 
 
 @pytest.mark.parametrize(
-    ("points", "free", "lost", "words"),
+    "points, free, lost, words",
     [
         *((LINE[[*map(int, rows)]], "pose", 3, "not visible") for rows in ("012", "01010", "000")),
         (SOLID[[0, 5, 14]], ("pose", "phi"), 7, "6 coordinates for 7 unknowns"),

@@ -132,7 +132,7 @@ def test_missing_field_is_named(tmp_path, field):
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    "text, message",
     [
         (json.dumps(io.camera_to_dict(CAMERA)), "`fit`: expected the field .*, got no such field"),
         ('{"fit": 3}', "`fit`: expected .*, got 3"),

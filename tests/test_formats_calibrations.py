@@ -235,7 +235,7 @@ FRAMES = [
 ]
 
 
-@pytest.mark.parametrize(("frame", "wanted"), FRAMES)
+@pytest.mark.parametrize("frame, wanted", FRAMES)
 def test_frames_intrinsics_come_before_the_files(tmp_path, frame, wanted):
     fx, fy, model, k1, p1 = wanted
     frames = [{"file_path": "a", "transform_matrix": np.eye(4).tolist(), **frame}]

@@ -157,7 +157,7 @@ def test_round_trips_keep_the_camera(tmp_path, name):
 
 
 @pytest.mark.parametrize(
-    ("name", "lens", "message"),
+    "name, lens, message",
     [
         (*NO_RATIONAL[::-1], "expected OpenCV's k1, .* got a Rational"),
         *(

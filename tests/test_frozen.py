@@ -38,7 +38,7 @@ WORSE = ("error", 2.2), ("found", 96), ("share", 0.98), ("share", 0.92)
 
 
 @pytest.mark.parametrize(
-    ("fresh", "words", "ended", "told"),
+    "fresh, words, ended, told",
     [
         *((with_values(**values), "--gate", 0, "Nothing is worse") for values in NOT_WORSE),
         *(

@@ -40,7 +40,7 @@ def checks_of(refit, count=200):
     return checks, np.sqrt(np.mean([check.rms**2 for check in checks]))
 
 
-@pytest.mark.parametrize(("names", "px"), [(NAMES, 0.1), (NAMES[:6], 3.0)])
+@pytest.mark.parametrize("names, px", [(NAMES, 0.1), (NAMES[:6], 3.0)])
 def test_halves_of_right_error_bars_differ_by_chance_alone(names, px):
     """... even where rotations are uncertain by many degrees about a far eye."""
     random, covariance = np.random.default_rng(0), known_by(px, names)
@@ -90,7 +90,7 @@ def test_outline_halves_share_out_all_pixels(weight):
     assert 0.4 < np.mean(odd[edge] > 0) < 0.6
 
 
-@pytest.mark.parametrize(("reach", "blocks"), [(8.0, 16), (40.0, 6), (1e3, 6)])
+@pytest.mark.parametrize("reach, blocks", [(8.0, 16), (40.0, 6), (1e3, 6)])
 def test_blocks_of_an_outline_are_longer_than_errors_reach(reach, blocks):
     y, x = np.indices((400, 400)) - 199.5
     odd, _ = pj.outline_halves(np.hypot(x, y) < 150, MaskError(1.0, reach))

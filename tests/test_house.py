@@ -335,7 +335,7 @@ PATH, CPP_PATH, TEST = f"{FIT}/a.py", "x/a.cc", f"{TESTS}/a.py"
 
 
 @pytest.mark.parametrize(
-    ("path", "text", "fault"),
+    "path, text, fault",
     [
         (PATH, "from jax.extend.core import Primitive", "jax.extend"),
         (PATH, "from jax import extend", "from jax import extend"),
@@ -379,7 +379,7 @@ def test_names_that_stand_twice_are_found():
 
 
 @pytest.mark.parametrize(
-    ("path", "text", "counts"),
+    "path, text, counts",
     [
         (PATH, CODE, {FIT: 8}),
         (PATH, "x = [1,\n     2]\n\n# no more\n", {FIT: 7}),

@@ -101,7 +101,7 @@ def test_row_of_numbers_is_a_matrix_in_json(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "words"),
+    "name, text, words",
     [
         (
             "unit.json",

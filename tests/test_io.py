@@ -144,7 +144,7 @@ SENSOR = {
 
 
 @pytest.mark.parametrize(
-    ("size", "orientation", "tags", "height_mm", "focal_mm"),
+    "size, orientation, tags, height_mm, focal_mm",
     [
         ((60, 40), 1, FULL_FRAME, 24, 50),
         ((60, 40), 6, FULL_FRAME, 36, 50),  # held upright

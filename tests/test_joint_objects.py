@@ -71,7 +71,7 @@ def test_size_and_distance_are_one_to_a_single_camera(larger):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize(("noise", "by_mesh"), [(0.03, False), (0.0, True)])
+@pytest.mark.parametrize("noise, by_mesh", [(0.03, False), (0.0, True)])
 def test_derivative_of_a_part_equals_refits(larger, noise, by_mesh):
     """Of its pose and size, by a mask, a camera's carrier and what the other camera sees, all at
     once; by the mesh, forward and reverse, where masks are explained."""

@@ -138,7 +138,7 @@ def test_photo_refines_the_camera(here, capsys):
 
 
 @pairs(
-    "words message",
+    "words, message",
     {
         "fit no.ply dot.png --camera start.json": "`MESH`: expected a mesh file",
         "fit bumpy.ply no.png --camera start.json": "`MASK`: expected an image file",
@@ -233,7 +233,7 @@ def test_user_without_a_home_keeps_no_programs(folder, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "status", "words"),
+    "arguments, status, words",
     [
         ("--help", 0, "usage: pinhole-jax"),
         ("fit --help", 0, "usage: pinhole-jax fit"),
@@ -278,7 +278,7 @@ def test_help_has_groups_and_an_example_of_each_command(capsys):
 
 
 @pairs(
-    "words message",
+    "words, message",
     {
         "fit a.ply b.png --fvo 3": "--fvo 3 (did you mean --fov?)",
         "fit a.ply": "required: MASK",
@@ -308,7 +308,7 @@ def test_closed_pipe_is_silent():
 
 
 @pytest.mark.parametrize(
-    ("words", "expected", "said"),
+    "words, expected, said",
     [
         (
             "crumbs.png",
@@ -469,7 +469,7 @@ def test_cropped_and_resized_photos_keep_the_rays(here):
 
 
 @pairs(
-    "words message",
+    "words, message",
     {
         "--fov 30 --crop 0 0 96 80": "`--crop`: expected `--camera` or `--K` with it",
         "--fov 30 --dist 0.1 0 0 0": "`--dist`: expected `--K` with it, got none",
@@ -496,7 +496,7 @@ def test_options_that_do_not_go_together_are_named(here, words, message):
 
 
 @pairs(
-    "text told",
+    "text, told",
     {
         "`path`: expected a file": "`MESH`: expected a file",
         "`phi`: got nothing": "`phi`: got nothing",
@@ -510,7 +510,7 @@ def test_errors_name_the_arguments_of_the_command(text, told):
 
 
 @pytest.mark.parametrize(
-    ("status", "sigma", "ended"),
+    "status, sigma, ended",
     [("converged", 1.0, 0), ("converged", 9.0, 1), ("misfit", 9.0, 3), ("non_finite", 0.0, 3)],
 )
 def test_check_ends_with_its_finding(here, status, sigma, ended, monkeypatch, capsys):
@@ -522,7 +522,7 @@ def test_check_ends_with_its_finding(here, status, sigma, ended, monkeypatch, ca
     assert ended or "not moved: 1.0 sigma" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(("times", "ended"), [(1.0, 0), (0.1, 1)])
+@pytest.mark.parametrize("times, ended", [(1.0, 0), (0.1, 1)])
 def test_check_of_halves_ends_with_its_finding(here, times, ended, monkeypatch, capsys):
     """Both halves' eyes are a standard error off, one each way, or ten."""
 
@@ -543,7 +543,7 @@ def test_principal_point_outside_the_picture_is_refused(K):
 
 
 @pairs(
-    "options words",
+    "options, words",
     {
         "--K 90 91 47 40": "",
         "--K 90 91 44 46": "",
@@ -588,7 +588,7 @@ def test_fit_is_printed_where_it_cannot_be_written(here, fitted, monkeypatch, ca
     assert printed.err == "pinhole-jax fit: No space left on device\n"
 
 
-@pytest.mark.parametrize(("said", "expected"), [("", "cpu"), ("cuda,cpu", "cuda,cpu")])
+@pytest.mark.parametrize("said, expected", [("", "cpu"), ("cuda,cpu", "cuda,cpu")])
 def test_own_processes_use_the_cpu_by_default(said, expected):
     before = jax.config.jax_platforms
     try:

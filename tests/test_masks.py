@@ -226,7 +226,7 @@ def test_pictures_that_are_no_masks_are_refused_with_the_ways_to_read_them(tmp_p
 
 @pytest.mark.parametrize("where", ["beside", "ring"])
 @pytest.mark.parametrize(
-    ("dtype", "first", "second"),
+    "dtype, first, second",
     [(np.uint8, 1, 2), (np.uint8, 1, 255), (np.uint16, 300, 65535), (np.int32, 1, -1),
      (np.float32, 1, 2), (np.int32, 70000, 70009)],
 )  # fmt: skip
@@ -266,7 +266,7 @@ def test_inverted_silhouette_is_refused_and_can_be_turned(tmp_path, silhouette, 
     assert_array_equal(load(tmp_path, image, way, invert=True)[0], mask)
 
 
-@pytest.mark.parametrize(("right", "top"), [(66, H), (30, H), (26, 27)])
+@pytest.mark.parametrize("right, top", [(66, H), (30, H), (26, 27)])
 def test_object_cut_off_by_the_frame_is_accepted(tmp_path, right, top):
     mask = WHITE.copy()  # on 40, 60 and 85 % of the border
     mask[:top, W - right :] = 0
@@ -300,7 +300,7 @@ def test_background_colour_gives_partial_coverage_at_edges(tmp_path, way):
 
 
 @pytest.mark.parametrize(
-    ("rle", "words"),
+    "rle, words",
     [
         ([{"size": [2, 2], "counts": [4]}], "got .*; give one of a list"),
         ([[1.0, 1.0, 6.0, 1.0, 6.0, 4.0]], "of polygons .*frPyObjects"),

@@ -510,7 +510,7 @@ def test_indices_beyond_the_vertices(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("file", "message"), [(bomb(60), "one parent"), (many(500), "at most 67108864 corners")]
+    "file, message", [(bomb(60), "one parent"), (many(500), "at most 67108864 corners")]
 )
 def test_small_files_that_stand_for_much_are_refused_in_seconds(tmp_path, file, message):
     start = time.process_time()

@@ -157,7 +157,7 @@ def test_mask_that_is_grown_all_round_does_not_turn_the_camera(px):
     assert degrees(pj.fit_camera(SCENE, grown, start, outlier_px=None), single(CAMERA)) > 1
 
 
-@pytest.mark.parametrize(("power", "length"), [(1, 16), (2, 40)])
+@pytest.mark.parametrize("power, length", [(1, 16), (2, 40)])
 def test_ellipsoids_hold_for_errors_of_a_circle_that_are_rough_or_smooth(power, length):
     """(The oracle: offsets drawn by their covariance's Cholesky factor; the right move is none.)"""
     turn = 2 * np.pi * np.arange(60) / 60

@@ -59,7 +59,7 @@ FREE = [EVERYTHING, ("position", "orientation", "d")]
 BOUNDS = Bounds(("phi", "k1"), jnp.array([0.4, 0.0]), jnp.array([0.9, 0.4]))
 
 
-@pytest.mark.parametrize(("free", "bounds"), [*zip(FREE, [BOUNDS, None], strict=True)])
+@pytest.mark.parametrize("free, bounds", [*zip(FREE, [BOUNDS, None], strict=True)])
 def test_moves_agree_with_central_differences_of_the_film(free, bounds):
     """Of points on it: by the moves themselves, and by what is reported of them."""
     lens = pj.Lens([14, 11], 1.1, pj.Rational(0.3, -0.1, 1e-3, -2e-3, 0.02, 0.6, 0.02, 0.05))

@@ -27,7 +27,7 @@ def test_no_fit_says_converged_and_is_wrong(shape, exhaustive):
 
 
 @pytest.mark.parametrize(
-    ("number", "shape", "kind"),
+    "number, shape, kind",
     [
         (19, "mug", "exact"),  # squares below what rounding may leave, and less still
         (16, "mug", "noisy"),  # its handle, which the mask alone shows, is no noise

@@ -80,7 +80,7 @@ def fit_of(camera, names, std, history=()):
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("name", "std", "across_sides", "across_foot"),
+    "name, std, across_sides, across_foot",
     [
         ("e_x", 0.01, FOCAL * 0.01 / 5, 0.0),
         ("e_z", 0.01, FOCAL * 0.01 / 25, FOCAL * 0.01 / 25),

@@ -76,7 +76,7 @@ def test_project_is_differentiable_at_the_eye_plane():
 
 
 @pytest.mark.parametrize(
-    ("call", "message"),
+    "call, message",
     [
         (lambda: pj.camera_rays(CAMERA, 0), "`samples`: expected at least 1"),
         (lambda: pj.camera_rays(CAMERA, key=jax.random.key(0)), "`key`: expected `samples`"),

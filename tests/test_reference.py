@@ -117,7 +117,7 @@ def test_shifted_or_biased_picture_does_not_agree():
 
 
 @pytest.mark.parametrize(
-    ("image", "words"),
+    "image, words",
     [
         (np.zeros((3, 5)), r"`e_x`: expected an image of shape \(48, 64\), got \(3, 5\)"),
         (np.full((48, 64), np.nan), "`e_x`: expected finite numbers, got NaN or infinity"),

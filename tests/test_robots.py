@@ -176,7 +176,7 @@ def test_collada_is_read_though_its_reader_uses_what_is_deprecated(tmp_path, mon
 
 @pytest.mark.parametrize("up", ["Z_UP", "Y_UP", "X_UP"])
 @pytest.mark.parametrize(
-    ("unit", "node", "scale", "expected"),
+    "unit, node, scale, expected",
     [
         ("1", "", "", [0, 0, 0, 100, 100, 100]),
         ("0.0254", "", "", [0, 0, 0, 2.54, 2.54, 2.54]),
@@ -264,7 +264,7 @@ DOUBLE = joint("j2", "b", "c", mimic("j1", 'multiplier="2" offset="0.5"'))
 
 
 @pytest.mark.parametrize(
-    ("joints", "expected"),
+    "joints, expected",
     [
         # j1 = 0.3 throughout: what the others add is arithmetic.
         ((FREE, DOUBLE, joint("j3", "c", "d", mimic("j1"))), [0.3 + 1.1 + 0.3, 3]),
@@ -450,7 +450,7 @@ NAMES = '"names": ["turn", "slide", "wheel"], "postures": [[{}]]'
 
 
 @pytest.mark.parametrize(
-    ("more", "row", "turn"),
+    "more, row, turn",
     [
         ("", "1.5, 0.3, -6", 1.5),
         ('"unit": "rad", ', "1.5, 0.3, -6", 1.5),
@@ -467,7 +467,7 @@ def test_joint_angles_have_the_unit_that_their_file_names(arm, tmp_path, more, r
 
 
 @pytest.mark.parametrize(
-    ("more", "row", "message"),
+    "more, row, message",
     [
         ("", "90, 0, 0", "-2 to 3 rad of joint 'turn', .* limits, got 90 in row 1 .*: degrees?"),
         ("", "0, 0, -69", "'wheel', a turn to either side, got -69 in row 1 of 'j.json': degrees?"),

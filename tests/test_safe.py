@@ -7,7 +7,7 @@ from pinhole_jax._numerics.safe import dot, norm, normalize, safe_divide, safe_s
 
 
 @pytest.mark.parametrize(
-    ("function", "at"),
+    "function, at",
     [
         (safe_sqrt, 0.0),
         (safe_sqrt, -1.0),

@@ -122,7 +122,7 @@ def check(camera, scene, tolerance):
 
 
 @pytest.mark.parametrize(
-    ("seed", "kind", "of_mesh", "lens"),
+    "seed, kind, of_mesh, lens",
     [
         *((seed, "float64", "float64", None) for seed in range(5)),
         (5, "float64", "float64", pj.Lens([14.3, 20.1], 1.2)),
@@ -143,7 +143,7 @@ def test_closed_meshes_match_the_polygon_union(seed, kind, of_mesh, lens):
 
 
 @pytest.mark.parametrize(
-    ("name", "dtype"), first(1, [(name, f"float{n}") for n in (64, 32) for name in MESHES], 3)
+    "name, dtype", first(1, [(name, f"float{n}") for n in (64, 32) for name in MESHES], 3)
 )
 def test_open_and_overlapping_meshes_match_the_polygon_union(name, dtype, exhaustive):
     vertices, faces = MESHES[name]()
@@ -176,7 +176,7 @@ SPHERES = {
 
 
 @pytest.mark.parametrize(
-    ("name", "mixed"), first(1, [(name, mixed) for mixed in (False, True) for name in SPHERES], 2)
+    "name, mixed", first(1, [(name, mixed) for mixed in (False, True) for name in SPHERES], 2)
 )
 def test_spheres_match_their_outlines(name, mixed):
     """(Where there are less than three, others are out of sight.)"""
@@ -198,7 +198,7 @@ def test_eye_inside_a_closed_body_sees_nothing_else():
 @pytest.mark.long
 @pytest.mark.usefixtures("both_ways")
 @pytest.mark.parametrize(
-    ("size", "copies", "triangles"), [((2, 2), 1, 60), ((4, 3), 1, 60), ((W, H), 3000, 1)]
+    "size, copies, triangles", [((2, 2), 1, 60), ((4, 3), 1, 60), ((W, H), 3000, 1)]
 )
 def test_pixel_that_holds_everything_is_resolved(size, copies, triangles):
     """Hundreds of pieces, which arrays cut until few are left; and more of them than arrays list at

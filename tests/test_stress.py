@@ -45,7 +45,7 @@ PAIRS = [
 SLOPED = sorted({*stress.CASES} - {"1000 px in a row or column"})
 
 
-@pytest.mark.parametrize(("name", "kind"), first(1, PAIRS, of=4))
+@pytest.mark.parametrize("name, kind", first(1, PAIRS, of=4))
 @few
 @given(seed=SEEDS)
 def test_hard_cases_are_right_to_some_epsilons(name, kind, seed):

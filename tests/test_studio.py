@@ -159,7 +159,7 @@ def test_field_of_view_changes_keep_the_size():
     assert_allclose(seen(after, plane), seen(before, plane), atol=1e-9)
 
 
-@pytest.mark.parametrize(("up", "front"), [("x", (0, 0, 1)), ("y", (0, 0, 1)), ("z", (0, -1, 0))])
+@pytest.mark.parametrize("up, front", [("x", (0, 0, 1)), ("y", (0, 0, 1)), ("z", (0, -1, 0))])
 @pytest.mark.parametrize("size", [(64, 64), (120, 40), (40, 120)])
 def test_framed_object_is_inside_the_picture_and_upright(up, front, size):
     extent = hand.extent_of(POINTS)
@@ -259,7 +259,7 @@ def stroke(**changes):
 
 
 @pairs(
-    "words changes",
+    "words, changes",
     {
         "`schema`: expected one of pinhole_jax.studio/1, got 'other'": {"schema": "other"},
         "`mesh`: expected a text, got 3": {"mesh": 3},
@@ -291,7 +291,7 @@ SMALL = png(np.zeros((20, 10), np.uint8))
 
 
 @pytest.mark.parametrize(
-    ("name", "numbers", "words"),
+    "name, numbers, words",
     [
         ("__init__", {}, "`do`: expected one of hello, .*, got '__init__'"),
         ("stand", {"down": "y"}, "`stand`: "),
@@ -598,7 +598,7 @@ def test_command_without_aiohttp_names_the_extra(monkeypatch, capsys, workpiece)
 
 
 @pairs(
-    "arguments words",
+    "arguments, words",
     {
         "": "expected MESH and PHOTO, or --session FILE",
         "part.obj": "expected MESH and PHOTO",
@@ -625,7 +625,7 @@ def test_port_in_use_is_named(capsys, workpiece):
 
 
 @pytest.mark.parametrize(
-    ("fov", "exif", "phi"), [("", None, 0.7), ("", 0.5, 0.5), ("--fov 30", 0.5, np.deg2rad(30))]
+    "fov, exif, phi", [("", None, 0.7), ("", 0.5, 0.5), ("--fov 30", 0.5, np.deg2rad(30))]
 )
 def test_command_passes_its_options_to_the_bench(monkeypatch, workpiece, tmp_path, fov, exif, phi):
     from pinhole_jax._studio import server

@@ -36,9 +36,7 @@ def test_same_hits_as_embree(name, request):
     assert_allclose(hit.t[which], np.linalg.norm(places - origin[which], axis=1), rtol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("dtype", "offset"), [("float32", 0.0), ("float32", 1.0), ("float64", 1.0)]
-)
+@pytest.mark.parametrize("dtype, offset", [("float32", 0.0), ("float32", 1.0), ("float64", 1.0)])
 def test_no_ray_leaks_through_edges_or_vertices(dtype, offset):
     """Rays from within a closed mesh, aimed at vertices and points of edges; also far away."""
     mesh = shapes.bumpy(2)

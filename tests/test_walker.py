@@ -107,7 +107,7 @@ def test_hits_in_soups_are_those_by_arrays(dtype, exhaustive):
 
 
 @pytest.mark.parametrize(
-    ("faces", "dtype"),
+    "faces, dtype",
     first(1, [(65, "float32"), *((n, "float64") for n in (0, 1, 3, 4, 5, 1280))]),
 )
 def test_faces_and_spheres_are_hit_as_by_arrays(faces, dtype):

@@ -36,7 +36,7 @@ def test_fit_prints_as_a_table():
 
 
 @pytest.mark.parametrize(
-    ("forward", "up", "angles", "axes"),
+    "forward, up, angles, axes",
     [
         ([0, 0, -1], [0, 1, 0], (0, 180, 0), "+y+z"),
         ([0, 1, 0], [0, 0, 1], (0, 90, 0), "+z+x"),  # anticlockwise from above
