@@ -162,7 +162,7 @@ def lowest_versions(session: nox.Session) -> None:
     constraints.write_text("\n".join(lowest()), encoding="utf-8")
     session.install("-e", ".[test]", "--constraint", str(constraints))
     session.run("python", "--version")
-    first = "import camera rays distortion scene io files formats_files parameters metrics polygons"
+    first = "import camera rays distortion scene io files formats_files parameters polygons"
     # All annotations are checked, not only those that tell shapes.
     checked = "--jaxtyping-packages=pinhole_jax,beartype.beartype"
     pytest(session, *files(f"{first} kinds main"), checked)

@@ -102,6 +102,16 @@ def usual_camera(W=96, H=80):
     return pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, W, H)
 
 
+def skew_camera(W, H, d=1.0):
+    """Return a camera none of whose axes is one of the world's."""
+    return pj.Camera([1.0, 2, 5], [0.1, 0, 0], [0.3, 1, 0.2], 0.7, d, W, H)
+
+
+def camera_ahead(W=96, H=80):
+    """Return a camera 5 before the origin that looks along -z, y up."""
+    return pj.Camera([0.0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, W, H)
+
+
 def body(*mesh):
     """Return the scene of a mesh: of vertices and faces, or of a mesh of trimesh's."""
     return pj.Scene(pj.Mesh(*mesh))

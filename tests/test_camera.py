@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from oracles import central_difference
+from oracles import central_difference, skew_camera, turned
 from refusals import refusal, refuses
 from scipy.spatial.transform import Rotation
 
@@ -42,6 +42,7 @@ def test_gauge_changes_no_view():
     assert_allclose(pj.camera_basis(camera), pj.camera_basis(other), atol=1e-15)
     points = [[0.3, 0.2, 0.1]]
     assert_allclose(pj.project(camera, points), pj.project(other, points), atol=1e-13)
+    other = other.replace(phi=0.3, W=8, H=8)
     assert_allclose(pj.pose_error(camera, other), 0, atol=1e-15)
 
 
@@ -194,3 +195,27 @@ def test_column_is_a_translation_and_a_centred_camera_has_no_lens():
     centred = pj.Camera.from_K(middle, np.eye(3), column, 64, 48, pixel_centres="integer")
     assert centred.lens is None
     assert_allclose(centred.e, [0, 0, -4])
+
+
+# --- how far two cameras, or masks, are apart -----------------------------------------------------
+
+SKEW = skew_camera(3, 2, d=2.0)
+
+
+@pytest.mark.parametrize("degrees", [1e-9, 0.3, 90.0, 180.0])
+def test_pose_error_is_the_angle_turned_and_the_way_moved(degrees):
+    angle, shift = pj.pose_error(SKEW, turned(SKEW, [1, 2, 3], degrees))
+    assert_allclose(np.rad2deg(angle), degrees, rtol=1e-5)
+    expected = np.linalg.norm(np.asarray(turned(SKEW, [1, 2, 3], degrees).e - SKEW.e))
+    assert_allclose(shift, expected)
+
+
+def test_pose_error_has_a_finite_derivative_at_zero():
+    slope = jax.jit(jax.grad(lambda c: pj.pose_error(c, SKEW)[0]))(SKEW)
+    assert all(np.all(np.isfinite(x)) for x in jax.tree.leaves(slope))
+
+
+def test_iou_by_hand():
+    a, b = jnp.array([[1.0, 0.5, 0]]), jnp.array([[0.5, 0.5, 0.5]])
+    assert_allclose(pj.iou(a, b), 1.0 / 2.0)
+    assert float(pj.iou(0 * a, 0 * a)) == 1

@@ -10,7 +10,7 @@ import pytest
 from chosen import full
 from jax.custom_derivatives import linear_call
 from jax.lax import stop_gradient
-from oracles import lump, single
+from oracles import lump, single, usual_camera
 from refusals import refusal, refuses
 
 import pinhole_jax as pj
@@ -18,7 +18,7 @@ import pinhole_jax as pj
 W, H = 32, 24
 
 
-CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.3, W, H)
+CAMERA = usual_camera(W, H).replace(d=1.3)
 SCENE = pj.Scene(spheres=pj.Spheres([[1.2, 0.9, 0], [-0.8, -0.5, 0.5]], [0.3, 0.6]))
 SINGLE = single((CAMERA, SCENE))
 

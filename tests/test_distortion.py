@@ -136,7 +136,7 @@ def test_derivatives_of_fisheye_rays_hold_to_89_degrees():
         return jnp.arctan(0.6 * x + 0.8 * y) - jnp.arctan(radius)
 
     def with_slope(radius, k):
-        return jnp.stack([there_and_back(radius, k), jax.grad(there_and_back)(radius, k)])
+        return jnp.stack(jax.value_and_grad(there_and_back)(radius, k))
 
     for jacobian in (jax.jacfwd, jax.jacrev):
         slopes = jax.jit(jax.vmap(jacobian(with_slope, (0, 1)), (0, None)))

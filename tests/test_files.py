@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from chosen import full, long
+from oracles import skew_camera
 from PIL import ExifTags, Image
 from processes import printed, python
 from refusals import refusal
@@ -19,7 +20,7 @@ import pinhole_jax as pj
 from pinhole_jax import formats, io
 from pinhole_jax._files import paths
 
-CAMERA = pj.Camera([1.0, 2, 5], [0.1, 0, 0], [0.3, 1, 0.2], 0.7, 1.0, 40, 31)
+CAMERA = skew_camera(40, 31)
 FILE_FORMATS = [name for name in formats.FORMATS if not name.startswith("colmap")]
 SAVES = {
     "image": lambda path: io.save_image(path, np.zeros((3, 4))),

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 import trimesh
-from oracles import body, drawn, lump
+from oracles import body, camera_ahead, drawn, lump
 from refusals import refuses
 
 import pinhole_jax as pj
@@ -74,7 +74,7 @@ def test_ball_leaves_the_axes_undecided():
     """A ball on the axis looks alike when the picture is turned upside down."""
     sphere = trimesh.creation.icosphere(subdivisions=3)
     ball = body(sphere.vertices, sphere.faces)
-    camera = pj.Camera([0, 0, 5.0], [0, 0, 0], [0, 1, 0], 0.6, 1.0, W, H, pj.Lens([W / 2, H / 2]))
+    camera = camera_ahead(W, H).replace(lens=pj.Lens([W / 2, H / 2]))
     _, R, t = formats.to_opencv(camera, pixel_centres="half")
     mask = np.asarray(pj.silhouette(camera, ball, overlaps=False))
     found = formats.detect(ball, mask, np.c_[R, t], fov=0.6)

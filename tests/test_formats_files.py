@@ -6,6 +6,7 @@ import struct
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from oracles import skew_camera
 from refusals import refusal, refuses
 from test_distortion import BROWN, camera as lens_camera
 from test_formats_oracles import image_points
@@ -13,7 +14,7 @@ from test_formats_oracles import image_points
 import pinhole_jax as pj
 from pinhole_jax import formats
 
-CAMERA = pj.Camera([1.0, 2, 5], [0.1, 0, 0], [0.3, 1, 0.2], 0.7, 1.0, 40, 31)
+CAMERA = skew_camera(40, 31)
 LENS = formats.cropped(CAMERA, 3, -2, 30, 25)
 EYE = "[[1, 0, 0, 1], [0, 1, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]]"
 FRAME = f'{{"file_path": "a", "transform_matrix": {EYE}}}'

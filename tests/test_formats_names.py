@@ -6,14 +6,14 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
-from oracles import turned
+from oracles import skew_camera, turned
 
 import pinhole_jax as pj
 from pinhole_jax import formats
 
 #: All of one K, which an OpenCV file asks for, and of one resolution, which a Blender scene does;
 #: near and far.
-BASE = pj.Camera([1.0, 2, 5], [0.1, 0, 0], [0.3, 1, 0.2], 0.7, 1.0, 64, 49)
+BASE = skew_camera(64, 49)
 CAMERAS = [turned(BASE, [3, 1, 2], 50 * k, 10.0 ** (k - 3)) for k in range(6)]
 HOSTILE = [
     "", " ", "a b", " a", "a ", "a  b", "a\nb", "a\r\nb", "a\tb", "\n", "\0", "a\0b", "\x01",

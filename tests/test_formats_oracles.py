@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from oracles import normal
+from oracles import normal, skew_camera
 from refusals import refusal
 from test_distortion import BROWN, FISHEYE, RATIONAL, camera as lens_camera
 
@@ -15,7 +15,7 @@ import pinhole_jax as pj
 from pinhole_jax import formats
 
 POINTS = normal((20, 3)) * 0.5
-BASE = pj.Camera([1.0, 2, 5], [0.1, 0, 0], [0.3, 1, 0.2], 0.7, 1.0, 64, 49)
+BASE = skew_camera(64, 49)
 CROP = formats.cropped(BASE, 3, -2, 41, 32)
 CAMERAS = {"base": BASE, "crop": CROP, "stretched": formats.resized(CROP, 33, 50)}
 FOUR = pj.BrownConrady(-0.2, 0.05, 1e-3, -2e-3)

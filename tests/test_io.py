@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 from numpy.testing import assert_allclose, assert_array_equal
+from oracles import skew_camera
 from PIL import ExifTags, Image
 from PIL.TiffImagePlugin import IFDRational
 from refusals import refusal
@@ -14,7 +15,7 @@ import pinhole_jax as pj
 from pinhole_jax import io
 
 BOX = trimesh.creation.box()
-CAMERA = pj.Camera([1.0, 2, 5], [0.1, 0, 0], [0.3, 1, 0.2], 0.7, 2.0, 30, 20)
+CAMERA = skew_camera(30, 20, d=2.0)
 
 
 def test_faces_of_a_file_share_edges(tmp_path):

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from oracles import normal
+from oracles import camera_ahead, normal
 from results import NAMES, fit_at
 from test_words import random_camera
 
@@ -51,7 +51,7 @@ def test_pose_projects_as_the_camera_does():
 
 
 def test_frozen_parameters_have_no_error_and_hidden_ones_infinite():
-    camera = pj.Camera([0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 64, 48)
+    camera = camera_ahead(64, 48)
     covariance = np.array([[np.inf, np.nan], [np.nan, 1e-8]])
     lost = fit_at(camera, covariance, ("rotation_v", "e_x"))
     pose = formats.object_pose(lost, pixel_centres="half")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 from numpy.testing import assert_allclose
-from oracles import central_difference, usual_camera
+from oracles import central_difference, skew_camera, usual_camera
 from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
@@ -25,7 +25,7 @@ from pinhole_jax._solver.moves import (
 )
 from pinhole_jax._solver.parameters import NAMES, check_free, components, in_one, labels_of
 
-CAMERA = pj.Camera([1.0, 2, 5], [0.1, 0, 0], [0.3, 1, 0.2], 0.7, 2.0, 30, 20)
+CAMERA = skew_camera(30, 20, d=2.0)
 PIVOT = jnp.array([0.2, -0.1, 0.3])
 
 

@@ -7,7 +7,7 @@ import shapely
 import trimesh
 from chosen import long
 from numpy.testing import assert_allclose
-from oracles import body, lump, scene_polygons, usual_camera
+from oracles import body, camera_ahead, lump, scene_polygons, usual_camera
 from refusals import refusal
 from results import fit_at
 
@@ -69,7 +69,7 @@ def test_overlay_draws_on_the_outline_and_nowhere_else(shape):
 
 # A square in the plane z = 0, seen from straight ahead at distance 5: f = 80 / (2 tan 0.3) px.
 SQUARE = body([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], [[0, 1, 2], [0, 2, 3]])
-AHEAD = pj.Camera([0.0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 96, 80)
+AHEAD = camera_ahead()
 FOCAL = 40 / np.tan(0.3)
 
 
@@ -135,7 +135,7 @@ def test_error_map_colours_extra_and_missing_pixels():
 
 def way_to(camera):
     """Return a history that ends at the camera: eyes 1, 0.3 and 0.1 to the right of it before."""
-    at = lambda x: pj.Camera([x, 0.0, 5], [x, 0, 0], [0, 1, 0], 0.6, 1.0, 96, 80)
+    at = lambda x: AHEAD.replace(e=[x, 0.0, 5], p=[x, 0, 0])
     way = ((at(1), 24, 20, 0), (at(0.3), 48, 40, 3), (at(0.1), 48, 40, 4), (camera, 96, 80, 3))
     return tuple(pj.Progress(*stop) for stop in way)
 

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from oracles import skew_camera
 from refusals import refusal
 
 import pinhole_jax as pj
@@ -13,7 +14,7 @@ import pinhole_jax as pj
 E, P, U = jnp.array([0.0, 0, 5]), jnp.array([0.0, 0, 0]), jnp.array([0.0, 1, 0])
 PHI, D, SIZE = jnp.array(np.pi / 2), jnp.array(1.0), (4, 2)
 CAMERA = pj.Camera(E, P, U, PHI, D, *SIZE)
-SKEW = pj.Camera([1.0, 2, 5], [0.1, 0, 0], [0.3, 1, 0.2], 0.7, 2.0, *SIZE)
+SKEW = skew_camera(*SIZE, d=2.0)
 LENSES = [None, pj.Lens([1.7, 0.4], 1.3), pj.Lens([2.2, 1.1], 1.1, pj.BrownConrady(-0.2, 0.05))]
 
 

@@ -5,15 +5,13 @@ import jax
 import numpy as np
 import pytest
 import trimesh
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 from oracles import body, lump
 from refusals import refusal, refuses
 
 import pinhole_jax as pj
-from pinhole_jax._scene.scene import (
-    bounding_box,
-    padded,
-)
+from pinhole_jax import shapes
+from pinhole_jax._scene.scene import bounding_box, padded
 
 TETRAHEDRON = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])  # counter-clockwise from outside
@@ -128,3 +126,26 @@ def test_memory_of_a_fit_is_freed():
     gone = weakref.ref(padded(lump(1)).mesh)
     gc.collect()
     assert gone() is None
+
+
+# --- example shapes -------------------------------------------------------------------------------
+
+
+def test_bumpy_is_closed_wound_outwards_and_repeatable():
+    mesh = shapes.bumpy(3, seed=2)
+    assert mesh.closed
+    assert mesh.faces.shape == (1280, 3)
+    assert trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume > 0
+    assert_array_equal(mesh.vertices, shapes.bumpy(3, seed=2).vertices)
+
+
+def test_revolved_cylinder_has_its_volume():
+    mesh = shapes.revolved(np.array([(0, 0), (2, 0), (2, 3), (0, 3)]), sections=400)
+    assert mesh.closed
+    volume = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume
+    assert_allclose(volume, np.pi * 4 * 3, rtol=1e-3)
+
+
+def test_profile_off_the_axis_is_refused():
+    with refusal("`profile`: expected radii 0"):
+        shapes.revolved(np.array([(1, 0), (2, 0), (2, 3), (0, 3)]))

@@ -15,6 +15,7 @@ from chosen import first, full, long
 from numpy.testing import assert_allclose, assert_array_equal
 from oracles import (
     body,
+    camera_ahead,
     coverage,
     filled,
     mesh_coverage,
@@ -183,7 +184,7 @@ def test_spheres_match_their_outlines(name, mixed):
     centers, radii = SPHERES[name]
     rest = range(3 - len(radii))
     spheres = pj.Spheres([*centers, *([9.0, k, 0] for k in rest)], [*radii, *(1.0 for _ in rest)])
-    camera = pj.Camera([0, 0, 5], [0, 0, 0], [0, 1, 0], 0.9, W=W, H=H)
+    camera = camera_ahead(W, H).replace(phi=0.9)
     check(camera, pj.Scene(mesh=pj.Mesh(*soup(20)) if mixed else None, spheres=spheres), 1e-6)
 
 

@@ -5,13 +5,13 @@ import re
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from oracles import central_difference, lump, normal
+from oracles import camera_ahead, central_difference, lump, normal
 from results import fit_at
 
 import pinhole_jax as pj
 from pinhole_jax import plot
 
-CAMERA = pj.Camera([0, 0, 5.0], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 96, 80)
+CAMERA = camera_ahead()
 SCENE = lump(2)
 
 

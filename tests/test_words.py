@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from oracles import central_difference, normal
+from oracles import camera_ahead, central_difference, normal
 from results import fit_at
 
 import pinhole_jax as pj
@@ -70,7 +70,7 @@ def test_rotations_have_values_and_sigmas():
 
 def test_displaced_camera_is_a_step_of_each_parameter_away():
     lens = pj.Lens([40, 30], 1.1)
-    camera = pj.Camera([0.0, 0, 5], [0, 0, 0], [0, 1, 0], 0.6, W=96, H=80, lens=lens)
+    camera = camera_ahead().replace(lens=lens)
     names = ("rotation_b2", "e_x", "phi", "principal_x", "principal_y", "aspect")
     fit = fit_at(camera, np.diag([1e-4, 0.04, 9e-4, 1, 1, 1e-4]), names)
     moved = fit.displaced([0.01, 0.2, 0.03, 0.5, 0.25, 0.1])
