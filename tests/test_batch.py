@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
 from chosen import first
+from folders import in_trimesh, put
 from numpy.testing import assert_allclose, assert_array_equal
 from oracles import drawn, normal
 from PIL import Image
@@ -48,8 +48,7 @@ def folder(tmp_path_factory, truths):
     folder, shape = tmp_path_factory.mktemp("batch"), pj.shapes.bumpy(2)
     mesh = pj.Mesh(100 * np.asarray(shape.vertices), shape.faces)
     (folder / "models").mkdir()
-    shape = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-    shape.export(folder / "models" / "obj_000007.ply")
+    in_trimesh(mesh).export(folder / "models" / "obj_000007.ply")
     for begin in (0, 2):
         place = folder / "test" / f"{begin + 1:06d}"
         (place / "mask_visib").mkdir(parents=True)
@@ -370,8 +369,7 @@ def test_data_set_without_what_is_asked_for_is_refused(tmp_path):
 
 def write_files(folder, files):
     for name, content in files.items():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+        put(folder, name, content)
 
 
 @pytest.mark.parametrize("ending", [".csv", ".jsonl"])

@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import trimesh
 from chosen import first
+from folders import in_trimesh
 from jax.flatten_util import ravel_pytree
 from numpy.testing import assert_allclose
 from oracles import body, coverage, lump
@@ -58,7 +58,7 @@ def test_scene_through_the_eye_plane_is_clipped():
     view, mesh = camera(*CASES["brown"], distance=0.7), sheet(3.0)
     image = silhouette(view, pj.Scene(mesh))
     v = np.asarray(pj.camera_basis(view).v)
-    whole = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    whole = in_trimesh(mesh)
     ahead = whole.slice_plane(np.asarray(view.e) + 0.02 * v, v)
     assert_allclose(image, coverage(view, body(ahead)), atol=5e-3)
 

@@ -21,8 +21,9 @@ import figures
 import jax
 import numpy as np
 import pytest
-import trimesh
 from chosen import full, long
+from folders import in_trimesh
+from oracles import usual_camera
 from processes import printed
 from results import degrees
 
@@ -64,7 +65,7 @@ LINK = re.compile(r"\]\((?!\w+:)([^)#\s]*)(?:#([\w.-]+))?\)")
 FILES = {"MESH": "part.ply", "MASK": "mask.png", "PHOTO": "photo.png", "FOLDER": "folder"}
 
 #: A mesh and a resolution as the Python has them, so that the commands find its programs compiled.
-Camera = lambda e, phi: pj.Camera(e, [0.1, 0, 0], [0.2, 1, 0.1], phi, W=256, H=256)
+CAMERA = usual_camera(256, 256)
 
 
 def blocks(language, page=README):
@@ -197,13 +198,13 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     # What the command sets for its own process would change those of the other tests.
     monkeypatch.setattr(command, "_set_up_jax", lambda *_, **__: None)
-    mesh, camera = shapes.bumpy(), Camera([0.3, 1, 5], np.deg2rad(34.4))
-    trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(FILES["MESH"])
+    mesh, camera = shapes.bumpy(), CAMERA.replace(phi=np.deg2rad(34.4))
+    in_trimesh(mesh).export(FILES["MESH"])
     coverage = np.asarray(pj.silhouette(camera, pj.Scene(mesh)))
     io.save_image(FILES["MASK"], coverage)
     io.save_image(FILES["PHOTO"], 1 - coverage[..., None] * np.array([0.4, 0.75, 0.9]))
     io.save_camera("CAMERA.json", camera)
-    io.save_camera("START.json", Camera([0.5, 1.2, 5], 0.62))
+    io.save_camera("START.json", CAMERA.replace(e=[0.5, 1.2, 5], phi=0.62))
     return tmp_path
 
 

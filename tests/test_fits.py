@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from folders import put
 from numpy.testing import assert_array_equal
 from oracles import single
 from refusals import refusal
@@ -115,9 +116,9 @@ WRONG = {
 
 @pytest.mark.parametrize("change", WRONG)
 def test_wrong_field_is_named(tmp_path, change):
-    data, path = io.fit_to_dict(fit_of(CAMERA)), tmp_path / "fit.json"
-    field, value = change.split(" = ")
-    path.write_text(json.dumps({**data, "fit": {**data["fit"], field: json.loads(value)}}))
+    data, (field, value) = io.fit_to_dict(fit_of(CAMERA)), change.split(" = ")
+    data["fit"][field] = json.loads(value)
+    path = put(tmp_path, "fit.json", json.dumps(data))
     with refusal(f"{WRONG[change]}.*fit.json.*"):
         io.load_fit(path)
 
@@ -126,9 +127,9 @@ def test_wrong_field_is_named(tmp_path, change):
 def test_missing_field_is_named(tmp_path, field):
     data = io.fit_to_dict(fit_of(CAMERA))
     del data["fit"][field]
-    (tmp_path / "fit.json").write_text(json.dumps(data))
+    path = put(tmp_path, "fit.json", json.dumps(data))
     with refusal(f"`{field}`: expected .*, got no such field .*fit.json"):
-        io.load_fit(tmp_path / "fit.json")
+        io.load_fit(path)
 
 
 @pytest.mark.parametrize(
@@ -141,9 +142,9 @@ def test_missing_field_is_named(tmp_path, field):
     ],
 )
 def test_other_files_are_no_fits(tmp_path, text, message):
-    (tmp_path / "camera.json").write_text(text)
+    path = put(tmp_path, "camera.json", text)
     with refusal(rf"{message}.*camera\.json"):
-        io.load_fit(tmp_path / "camera.json")
+        io.load_fit(path)
 
 
 def test_lens_that_folds_outside_the_object_comes_back(tmp_path):

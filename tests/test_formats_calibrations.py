@@ -5,6 +5,7 @@ import json
 import cv2
 import numpy as np
 import pytest
+from folders import put
 from numpy.testing import assert_allclose
 from refusals import refusal
 from test_formats_oracles import image_points
@@ -95,8 +96,8 @@ MODELS = {line.strip(): model for model, x in NAMED.items() for line in x.strip(
 @pytest.mark.parametrize("line", MODELS)
 def test_lens_model_is_the_one_that_a_calibration_names(tmp_path, line):
     lines = line.replace(" + ", "\n")
-    (tmp_path / "c.yaml").write_text(f"{HEAD}{MATRIX}{COEFFICIENTS}{lines}\n{TAIL}")
-    check_sees_as_opencv(tmp_path / "c.yaml", MODELS[line])
+    path = put(tmp_path, "c.yaml", f"{HEAD}{MATRIX}{COEFFICIENTS}{lines}\n{TAIL}")
+    check_sees_as_opencv(path, MODELS[line])
 
 
 NAMES = """dist dist_coeff dist_coeffs distCoeffs DistCoeff distCoef D distortion
@@ -108,8 +109,8 @@ def test_coefficients_have_many_names_and_forms(tmp_path, name):
     named = dict(zip(("k1", "k2", "p1", "p2"), BENT.tolist(), strict=True))
     tail = f"rvec: {TURN[:, None].tolist()}\ntvec: {SHIFT[:, None].tolist()}\n"
     for value in (BENT.tolist(), BENT[None].tolist(), named):
-        (tmp_path / "c.yaml").write_text(f"%YAML:1.0\n---\n{HEAD}{MATRIX}{name}: {value}\n{tail}")
-        check_sees_as_opencv(tmp_path / "c.yaml", BROWN)
+        text = f"%YAML:1.0\n---\n{HEAD}{MATRIX}{name}: {value}\n{tail}"
+        check_sees_as_opencv(put(tmp_path, "c.yaml", text), BROWN)
 
 
 REFUSED = {
@@ -142,9 +143,9 @@ REFUSED = {
 def test_lens_that_is_not_understood_is_refused(tmp_path, line):
     coefficients = "dist: [ 1, 2, 3, 4, 5 ]\n" if REFUSED[line] is None else COEFFICIENTS
     message = REFUSED[line] or "`dist`: expected 4 coefficients of a fisheye"
-    (tmp_path / "c.yaml").write_text(f"{HEAD}{MATRIX}{coefficients}{line}\n{TAIL}")
+    path = put(tmp_path, "c.yaml", f"{HEAD}{MATRIX}{coefficients}{line}\n{TAIL}")
     with refusal(message):
-        formats.read(tmp_path / "c.yaml")
+        formats.read(path)
 
 
 @pytest.mark.parametrize("ending", ["yml", "xml", "json"])
@@ -180,9 +181,9 @@ XML_CASES = {
 
 @pytest.mark.parametrize("text", XML_CASES, ids=range(len(XML_CASES)))
 def test_wrong_opencv_xml(tmp_path, text):
-    (tmp_path / "c.xml").write_text(text)
+    path = put(tmp_path, "c.xml", text)
     with refusal(XML_CASES[text]):
-        formats.read(tmp_path / "c.xml", None if "storage>" in text[-9:] else "opencv")
+        formats.read(path, None if "storage>" in text[-9:] else "opencv")
 
 
 CAMCHAIN = """cam0:
@@ -219,9 +220,9 @@ FOREIGN = {
 @pytest.mark.parametrize("name", FOREIGN)
 def test_files_of_other_programs_are_named(tmp_path, name):
     text, message = FOREIGN[name]
-    (tmp_path / name).write_text(text)
+    path = put(tmp_path, name, text)
     with refusal(message):
-        formats.read(tmp_path / name)
+        formats.read(path)
 
 
 SHARED = {"w": 640, "h": 480, "fl_x": 500, "fl_y": 510, "k1": 0.1, "p1": 0.02}
@@ -239,8 +240,8 @@ FRAMES = [
 def test_frames_intrinsics_come_before_the_files(tmp_path, frame, wanted):
     fx, fy, model, k1, p1 = wanted
     frames = [{"file_path": "a", "transform_matrix": np.eye(4).tolist(), **frame}]
-    (tmp_path / "t.json").write_text(json.dumps({**SHARED, "frames": frames}))
-    (camera,) = formats.read(tmp_path / "t.json").values()
+    path = put(tmp_path, "t.json", json.dumps({**SHARED, "frames": frames}))
+    (camera,) = formats.read(path).values()
     lens = camera.lens.distortion
     assert_allclose(np.diag(camera.K)[:2], (fx, fy), rtol=1e-12)
     assert type(lens).__name__ == model

@@ -5,6 +5,7 @@ import struct
 
 import numpy as np
 import pytest
+from folders import put
 from numpy.testing import assert_allclose
 from oracles import skew_camera
 from refusals import refusal, refuses
@@ -181,14 +182,14 @@ WRONG = {
 @pytest.mark.parametrize("file", WRONG)
 def test_wrong_fields_of_every_format_are_named(tmp_path, file):
     for name, text in RIGHT.items():
-        (tmp_path / name).write_text(text)
+        put(tmp_path, name, text)
     path = tmp_path if file.endswith("txt") else tmp_path / file
     assert formats.read(path)
     for change, message in WRONG[file].items():
         old, new = change.split(" => ")
         assert old in RIGHT[file]
         count = -1 if old == "sensor" else 1
-        (tmp_path / file).write_text(RIGHT[file].replace(old, new, count))
+        put(tmp_path, file, RIGHT[file].replace(old, new, count))
         if message is None:
             assert list(formats.read(path)) == ["a"]
             continue
@@ -220,15 +221,15 @@ def test_truncated_files_are_refused(tmp_path):
         (whole[:16] + b"BIN\0" + whole[20:], "`path`: expected JSON first in a glb"),
         (b"{", "`path`: expected glTF, got"),
     ):
-        (tmp_path / "c.glb").write_bytes(data)
+        path = put(tmp_path, "c.glb", data)
         with refusal(message):
-            formats.read(tmp_path / "c.glb")
+            formats.read(path)
 
 
 def test_colmap_text_may_begin_with_a_byte_order_mark(tmp_path):
     for comment in ("", "# Camera list\n"):
         for name in ("cameras.txt", "images.txt"):
-            (tmp_path / name).write_text("\ufeff" + comment + RIGHT[name], "utf-8")
+            put(tmp_path, name, "\ufeff" + comment + RIGHT[name])
         marked = formats.read(tmp_path)
         assert [*marked] == ["a.png", "b.png"]
         assert_allclose(marked["a.png"].e, [1, 2, 3], atol=1e-12)
@@ -246,10 +247,10 @@ def test_wrong_colmap_binary(tmp_path):
             other = whole[:12] + struct.pack("<i", 7) + whole[16:]
             wrong[other] = "`MODEL`: expected one of .*, got number 7"
         for data, message in wrong.items():
-            (tmp_path / name).write_bytes(data)
+            put(tmp_path, name, data)
             with refusal(message):
                 formats.read(tmp_path)
-        (tmp_path / name).write_bytes(whole)
+        put(tmp_path, name, whole)
 
 
 def test_model_is_not_written_beside_another(tmp_path):
@@ -296,9 +297,9 @@ UNREADABLE = {
 @pytest.mark.parametrize("message", UNREADABLE)
 def test_unreadable_paths_are_refused_by_name(tmp_path, message):
     name, data, *format = UNREADABLE[message]
-    (tmp_path / name).write_bytes(data)
+    path = put(tmp_path, name, data)
     with refusal(message):
-        formats.read(tmp_path / name, *format)
+        formats.read(path, *format)
     with refusal("`path`: expected a camera file, got .*: a folder"):
         formats.read(tmp_path, "json")
     with pytest.raises(FileNotFoundError, match=r"`path`: expected a camera file, .* no such file"):
@@ -311,8 +312,7 @@ def test_size_is_for_files_without_one(tmp_path):
         "p.json": RIGHT["p3d.json"].replace("image_size", "x"),
         "s.xml": re.sub("(?s)<film.*</film>", "", SENSOR),
     }.items():
-        (tmp_path / name).write_text(text)
-        (camera,) = formats.read(tmp_path / name, size=(20, 11)).values()
+        (camera,) = formats.read(put(tmp_path, name, text), size=(20, 11)).values()
         assert (camera.W, camera.H) == (20, 11)
     for name in ("a.yaml", "own.json", "folder", "transforms_b.json", "pytorch3d.json"):
         formats.write(tmp_path / name, {"a": CAMERA})

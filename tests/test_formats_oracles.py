@@ -6,6 +6,7 @@ import cv2
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from folders import put
 from numpy.testing import assert_allclose
 from oracles import normal, skew_camera
 from refusals import refusal
@@ -104,8 +105,7 @@ OBLONG = {
 @pytest.mark.parametrize("files", [SQUARE, OBLONG])
 def test_readers_match_numbers_worked_out_by_hand(tmp_path, files):
     for name, text in files.items():
-        (tmp_path / name).write_text(text)
-        (camera,) = formats.read(tmp_path / name).values()
+        (camera,) = formats.read(put(tmp_path, name, text)).values()
         assert ((8, 6) if files is SQUARE else (7, 5)) == (camera.W, camera.H)
         assert_allclose(image_points(camera, [[1.5, 3, 1]]), [[5, 1]], atol=1e-12, err_msg=name)
 
@@ -234,8 +234,7 @@ def test_blender_recorded(tmp_path, row):
         "shift_y": -0.0625, "matrix_world": [[0,0,1,4], [1,0,0,0.5], [0,1,0,0.25], [0,0,0,1]]}"""
     )
     fields["sensor_fit"] = fit
-    (tmp_path / "b.json").write_text(json.dumps(fields))
-    camera = formats.read(tmp_path / "b.json")["camera"]
+    camera = formats.read(put(tmp_path, "b.json", json.dumps(fields)))["camera"]
     points = jnp.array([[0.5, 0.25, -0.5], [-0.25, 0.75, 0.5]])
     assert_allclose(pj.project(camera, points), [[x, y], [u, v]], rtol=0, atol=1e-5)
 
@@ -306,8 +305,8 @@ MITSUBA = {
 def test_mitsuba_recorded(tmp_path, sensor):
     for crop, corner in (("", (0, 0)), (CROPPED, (2, 1))):
         text = f'<scene version="3.0.0"><sensor type="perspective">{sensor}{TO_WORLD}'
-        (tmp_path / "s.xml").write_text(f"{text}{FILM.format(crop=crop)}</sensor></scene>")
-        camera = formats.read(tmp_path / "s.xml")["sensor"]
+        path = put(tmp_path, "s.xml", f"{text}{FILM.format(crop=crop)}</sensor></scene>")
+        camera = formats.read(path)["sensor"]
         assert ((5, 4) if crop else (9, 7)) == (camera.W, camera.H)
         seen = image_points(camera, [1.3, 1.5, 0.2])
         assert_allclose(seen, np.subtract(MITSUBA[sensor], corner), rtol=0, atol=1e-5)

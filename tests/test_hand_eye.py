@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 from arm import START, TRUTH, apart
+from folders import in_trimesh
 from numpy.testing import assert_allclose
 from oracles import drawn
 from PIL import Image
@@ -60,8 +61,7 @@ def robot_files(tmp_path, monkeypatch):
     # What the command sets for its own process would change those of the other tests.
     monkeypatch.setattr(command, "_set_up_jax", lambda *_, **__: None)
     monkeypatch.chdir(tmp_path)
-    body = shapes.bumpy(2)
-    trimesh.Trimesh(body.vertices, body.faces, process=False).export("body.stl")
+    in_trimesh(shapes.bumpy(2)).export("body.stl")
     trimesh.creation.box((0.6, 0.9, 2.2)).export("arm.stl")
     base = '<box size="0.5 0.5 0.2"/>', '<mesh filename="body.stl"/>'
     text = URDF.replace(*base).replace(' scale="2 2 2"', "").replace('xyz="0 0 0.1"', 'xyz="1 0 0"')

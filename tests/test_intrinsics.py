@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from folders import put
 from numpy.testing import assert_allclose
 from refusals import refusal
 
@@ -67,9 +68,7 @@ def check_lens(camera):
 
 @pytest.mark.parametrize("name", FILES)
 def test_intrinsics_are_read_with_their_lens(name, tmp_path):
-    path = tmp_path / name
-    path.parent.mkdir(exist_ok=True)
-    path.write_text(FILES[name])
+    path = put(tmp_path, name, FILES[name])
     asked = f"{path}:1" if name.startswith("two") else path
     check_lens(read_intrinsics(asked, size=(640, 480)))
 
@@ -94,8 +93,7 @@ def test_intrinsics_of_a_camera_file_leave_its_pose_out(tmp_path):
 
 
 def test_row_of_numbers_is_a_matrix_in_json(tmp_path):
-    (tmp_path / "K.json").write_text(json.dumps(K.tolist()))
-    found = read_intrinsics(tmp_path / "K.json", size=(640, 480))
+    found = read_intrinsics(put(tmp_path, "K.json", json.dumps(K.tolist())), size=(640, 480))
     assert_allclose(found.K, K, rtol=1e-12)
     assert found.distortion is None
 
@@ -119,6 +117,6 @@ def test_row_of_numbers_is_a_matrix_in_json(tmp_path):
     ],
 )
 def test_file_without_intrinsics_is_refused(name, text, words, tmp_path):
-    (tmp_path / name).write_text(text)
+    path = put(tmp_path, name, text)
     with refusal(words):
-        read_intrinsics(tmp_path / name, size=(640, 480))
+        read_intrinsics(path, size=(640, 480))

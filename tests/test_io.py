@@ -5,6 +5,7 @@ import jax
 import numpy as np
 import pytest
 import trimesh
+from folders import put
 from numpy.testing import assert_allclose, assert_array_equal
 from oracles import skew_camera
 from PIL import ExifTags, Image
@@ -37,8 +38,9 @@ def test_vertices_rounded_coarsely_are_reported(tmp_path):
     assert "lies 1e+05 from the origin" in said[0]
     assert "the file itself has float32 numbers" in said[0]
 
-    text = tmp_path / "far.obj"  # digits that float64 holds
-    text.write_text("v 100000.1 0 0\nv 100000.2 0.3 0\nv 100000.3 0 0.1\nf 1 2 3\n")
+    # Digits that float64 holds.
+    corners = "v 100000.1 0 0\nv 100000.2 0.3 0\nv 100000.3 0 0.1\nf 1 2 3\n"
+    text = put(tmp_path, "far.obj", corners)
     pj.load_mesh(text)
     jax.config.update("jax_enable_x64", False)
     try:
@@ -50,8 +52,8 @@ def test_vertices_rounded_coarsely_are_reported(tmp_path):
 
 
 def test_vertices_beyond_float32_load_without_a_word(tmp_path):
-    (tmp_path / "far.obj").write_text("v 0 0 0\nv 1e300 0 0\nv 0 1e300 0\nf 1 2 3\n")
-    assert np.max(pj.load_mesh(tmp_path / "far.obj").vertices) == 1e300
+    path = put(tmp_path, "far.obj", "v 0 0 0\nv 1e300 0 0\nv 0 1e300 0\nf 1 2 3\n")
+    assert np.max(pj.load_mesh(path).vertices) == 1e300
 
 
 @pytest.mark.parametrize("lens", [None, pj.Lens([14.0, 11.0], 1.1)])
@@ -87,8 +89,9 @@ WRONG = {
 
 @pytest.mark.parametrize("change", WRONG)
 def test_wrong_fields_are_named(tmp_path, change):
-    path, (field, value) = tmp_path / "camera.json", change.split(" = ")
-    path.write_text(json.dumps({**io.camera_to_dict(CAMERA), field: json.loads(value)}))
+    field, value = change.split(" = ")
+    data = {**io.camera_to_dict(CAMERA), field: json.loads(value)}
+    path = put(tmp_path, "camera.json", json.dumps(data))
     with refusal(WRONG[change]):
         io.load_camera(path)
 

@@ -10,8 +10,8 @@ import sys
 import jax
 import numpy as np
 import pytest
-import trimesh
 from chosen import full, long
+from folders import in_trimesh
 from numpy.testing import assert_allclose, assert_array_equal
 from oracles import drawn, lump, turned, usual_camera
 from PIL import ExifTags, Image
@@ -50,8 +50,7 @@ def run(words, cache, before="-m pinhole_jax"):
 def folder(tmp_path_factory):
     """A mesh, cameras and masks, with a cache of programs beside them."""
     folder = tmp_path_factory.mktemp("main")
-    mesh = trimesh.Trimesh(SCENE.mesh.vertices, SCENE.mesh.faces, process=False)
-    mesh.export(folder / "bumpy.ply")
+    in_trimesh(SCENE.mesh).export(folder / "bumpy.ply")
     io.save_camera(folder / "truth.json", CAMERA)
     endless = {**io.camera_to_dict(CAMERA), "W": 20_000, "H": 20_000, "pose": None}
     (folder / "endless.json").write_text(json.dumps(endless))

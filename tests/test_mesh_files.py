@@ -11,6 +11,7 @@ import time
 import numpy as np
 import pytest
 import shapely
+from folders import put
 from numpy.testing import assert_allclose, assert_array_equal
 from refusals import refusal
 from scipy.spatial.transform import Rotation
@@ -102,11 +103,6 @@ FILES = {
     "more_big.ply": ply(">", more=True),
     "more_text.ply": ply("", more=True),
 }
-
-
-def put(tmp_path, name, data):
-    (tmp_path / name).write_bytes(data)
-    return tmp_path / name
 
 
 def mesh_of(tmp_path, name, data):
@@ -398,7 +394,7 @@ def test_buffers_are_read_from_the_folder_only(tmp_path, kind):
     with refusal(r"`path`: .*`uri`: expected a file "):
         f.load(folder, uri=kind.format(secret))
     for name in ("in a.bin", "folder/b.bin"):
-        (folder / name).write_bytes(f.data)
+        put(folder, name, f.data)
         check_triangles(f.load(folder, uri=name.replace(" ", "%20")), SQUARE[TWO])
 
 

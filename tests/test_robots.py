@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import trimesh
+from folders import put
 from numpy.testing import assert_allclose
 from refusals import refusal
 
@@ -26,9 +27,7 @@ def write_stl(path, size):
 
 
 def write_urdf(folder, body, name="a.urdf"):
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / name).write_text(f'<robot name="a">{body}</robot>')
-    return folder / name
+    return put(folder, name, f'<robot name="a">{body}</robot>')
 
 
 def robot_of(folder, body, **more):
@@ -169,9 +168,9 @@ def test_collada_is_read_though_its_reader_uses_what_is_deprecated(tmp_path, mon
         return collada(data)
 
     monkeypatch.setattr(reader, "Collada", outdated)
-    (tmp_path / "a.dae").write_text(collada())
+    path = put(tmp_path, "a.dae", collada())
     with pytest.warns(DeprecationWarning, match="Setting the shape"):
-        assert len(pj.load_mesh(tmp_path / "a.dae").faces) == 12
+        assert len(pj.load_mesh(path).faces) == 12
 
 
 @pytest.mark.parametrize("up", ["Z_UP", "Y_UP", "X_UP"])
@@ -198,8 +197,8 @@ def test_collada_polygons_are_cut(tmp_path):
     numbers = "2 0 0 2 1 0 1 1 0 1 2 0 0 2 0 0 0 0 " + "0 0 0 " * 2
     text = collada(shape='<polylist count="1">{}<vcount>6</vcount><p>0 1 2 3 4 5</p></polylist>')
     text = re.sub(r'(count="24">)[^<]*', rf"\g<1>{numbers}", text)
-    (tmp_path / "a.dae").write_text(text)
-    sides = np.diff(corners_of(pj.load_mesh(tmp_path / "a.dae"))[..., :2], axis=1)
+    mesh = pj.load_mesh(put(tmp_path, "a.dae", text))
+    sides = np.diff(corners_of(mesh)[..., :2], axis=1)
     areas = np.linalg.det(sides) / 2
     assert_allclose(areas.sum(), 3)
     assert np.all(areas > 0)
@@ -217,9 +216,9 @@ def test_collada_that_is_not_read_is_refused(tmp_path):
         ("at most 65536 nodes", collada(extra=doubled(40), node=instance(40))),
         ("`path`: expected a readable mesh", entities(collada())),
     ):
-        (tmp_path / "a.dae").write_text(text)
+        path = put(tmp_path, "a.dae", text)
         with refusal(words):
-            pj.load_mesh(tmp_path / "a.dae")
+            pj.load_mesh(path)
 
 
 def instance(k):
@@ -386,14 +385,14 @@ def test_robots_that_are_not_read_are_refused_with_the_reason(tmp_path, words):
 
 @pytest.mark.parametrize("text", ['<sdf version="1.6"><model name="a"/></sdf>', "", "<robot", "{}"])
 def test_files_that_are_no_urdf_are_refused(tmp_path, text):
-    (tmp_path / "a.urdf").write_text(text)
+    path = put(tmp_path, "a.urdf", text)
     words = (
         "<sdf> in place of <robot>: export"
         if "sdf" in text
         else "no[a-z -]+.*: line 1, column|unclosed token: line 1"
     )
     with refusal(f"`path`: expected a URDF file, got .*: {words}"):
-        pj.robots.load_urdf(tmp_path / "a.urdf")
+        pj.robots.load_urdf(path)
 
 
 @pytest.mark.parametrize("packages", ["/ws/deep", {"deep": None}])

@@ -13,7 +13,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import trimesh
+from folders import in_trimesh
 from numpy.testing import assert_allclose, assert_array_equal
 from oracles import drawn, lump
 from PIL import Image
@@ -60,8 +60,7 @@ def eight_bits(mask):
 
 @pytest.fixture
 def workpiece(scene, mask, tmp_path):
-    mesh = trimesh.Trimesh(scene.mesh.vertices, scene.mesh.faces, process=False)
-    mesh.export(tmp_path / "part.obj")
+    in_trimesh(scene.mesh).export(tmp_path / "part.obj")
     pj.io.save_image(tmp_path / "photo.png", np.repeat(eight_bits(mask)[..., None], 3, axis=2))
     return workpiece_of(str(tmp_path / "part.obj"), str(tmp_path / "photo.png"))
 

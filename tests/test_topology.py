@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
+from folders import in_trimesh
 from numpy.testing import assert_allclose
 from oracles import filled, mesh_coverage, usual_camera
 
@@ -82,7 +83,7 @@ def test_faces_that_repeat_or_have_no_area_are_no_outline(name):
     assert mesh.closed == closed
     assert len(mesh.edge_vertices) == edges
     first, second = np.asarray(mesh.edge_faces).T
-    area = trimesh.Trimesh(vertices, faces, process=False).area_faces
+    area = in_trimesh(mesh).area_faces
     assert np.all(area[first] > 0)
     assert np.all(area[second[second >= 0]] > 0)
     image = pj.silhouette(CAMERA, pj.Scene(mesh=filled(vertices, faces, 4000)))

@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import trimesh
 from chosen import full
+from folders import in_trimesh
 from numpy.testing import assert_allclose, assert_array_equal
 from oracles import body, lump, random_rays, usual_camera
 from refusals import refusal
@@ -28,7 +28,7 @@ def test_same_hits_as_embree(name, request):
     rays = pj.Rays(*random_rays(1500))
     hit = pj.trace(pj.Scene(mesh=mesh), rays)
     origin, direction = (np.asarray(x) for x in rays)
-    peer = RayMeshIntersector(trimesh.Trimesh(mesh.vertices, mesh.faces, process=False))
+    peer = RayMeshIntersector(in_trimesh(mesh))
     places, which, faces = peer.intersects_location(origin, direction, multiple_hits=False)
     assert len(which) > 0.2 * len(origin)
     assert_array_equal(np.flatnonzero(hit.primitive >= 0), np.sort(which))

@@ -5,6 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from folders import in_trimesh
 from oracles import drawn, lump, turned, usual_camera
 from refusals import refusal
 
@@ -16,10 +17,7 @@ SCENE = lump(2)
 
 @pytest.fixture
 def frames(tmp_path):
-    import trimesh
-
-    mesh = trimesh.Trimesh(SCENE.mesh.vertices, SCENE.mesh.faces, process=False)
-    mesh.export(tmp_path / "part.ply")
+    in_trimesh(SCENE.mesh).export(tmp_path / "part.ply")
     cameras = [turned(CAMERA, [1, 2, 3], 3.0 * k, 1.0) for k in range(3)]
     for k, camera in enumerate(cameras):
         pj.io.save_image(tmp_path / f"{k}.png", drawn(camera, SCENE))
