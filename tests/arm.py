@@ -5,6 +5,7 @@ from functools import cache
 import jax
 import numpy as np
 import trimesh
+from numpy.random import default_rng
 from oracles import drawn
 
 import pinhole_jax as pj
@@ -23,7 +24,7 @@ BOTH_EYES = {"left": TRUTH, "right": RIGHT}
 
 def posture(k):
     """Where an arm and its second link are."""
-    random = np.random.default_rng(100 + k)
+    random = default_rng(100 + k)
     turn, aside = random.uniform(-1, 1, 3), 1.2 * random.uniform(-1, 1, 2)
     return [np.eye(4), exponential(np.array([*turn, *aside, 0.9]))]
 
@@ -66,7 +67,7 @@ def grown(times):
 @cache
 def noisy():
     """Masks whose pixels err independently."""
-    random = np.random.default_rng(0)
+    random = default_rng(0)
     noise = [0.05 * random.normal(size=(SIZE, SIZE)) for _ in views()]
     return [
         v._replace(target=np.clip(v.target + n, 0, 1)) for v, n in zip(views(), noise, strict=True)

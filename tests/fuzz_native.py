@@ -14,6 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from oracles import filled, random_camera
 from slopes import both_ways
@@ -36,9 +37,9 @@ class Random:
     """Arrays as hostile as bits can make them."""
 
     def __init__(self, seed):
-        self.bits = np.random.default_rng(seed)
+        self.bits = default_rng(seed)
         #: Decides on shapes alone: of few, so that JAX compiles little.
-        self.shapes = np.random.default_rng(seed % SHAPES)
+        self.shapes = default_rng(seed % SHAPES)
         self.kind = self.shapes.choice([np.float32, np.float64])
 
     def reals(self, *shape):

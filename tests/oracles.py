@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import shapely
+from numpy.random import default_rng
 from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
@@ -88,7 +89,7 @@ def single(tree):
     return jax.tree.map(lambda x: x.astype(jnp.float32) if x.dtype == float else x, tree)
 
 
-def turned(camera, axis, degrees, distance=1.0, focal=1.0):
+def turned(camera, degrees, distance=1.0, focal=1.0, axis=(1, 2, 3)):
     """Return the camera orbited about the origin; distance and focal length are multiples."""
     turn = np.deg2rad(degrees) * np.asarray(axis) / np.linalg.norm(axis)
     R, eye = Rotation.from_rotvec(turn).as_matrix(), np.asarray(camera.e, float)
@@ -124,7 +125,7 @@ def lump(*given, **more):
 
 def normal(shape, seed=0):
     """Return independent normal numbers, the same for a seed."""
-    return np.random.default_rng(seed).normal(size=shape)
+    return default_rng(seed).normal(size=shape)
 
 
 def filled(vertices, faces, room):
@@ -145,7 +146,7 @@ def random_camera(random, W, H):
 
 def random_rays(number, dtype=float):
     """Return origins (n, 3), 3 from the middle, and unit directions past it."""
-    random = np.random.default_rng(0)
+    random = default_rng(0)
     origin = random.normal(size=(number, 3))
     origin *= 3 / np.linalg.norm(origin, axis=1, keepdims=True)
     direction = 0.6 * random.normal(size=(number, 3)) - origin

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import trimesh
 from chosen import first
+from numpy.random import default_rng
 from oracles import normal
 from scipy.spatial.transform import Rotation
 
@@ -67,7 +68,7 @@ def test_smooth_body_has_no_facets():
     around = lambda angle, height: np.stack(
         [(1 + 0.2 * height) * np.cos(angle), (1 + 0.2 * height) * np.sin(angle), 2 * height], -1
     )
-    random = np.random.default_rng(0).uniform([0, -1], [2 * np.pi, 1], (4000, 2))
+    random = default_rng(0).uniform([0, -1], [2 * np.pi, 1], (4000, 2))
     circle = around(np.linspace(0, 2 * np.pi, 500_000, endpoint=False), np.ones(500_000))
     for vertices in (around(*random.T), np.concatenate([circle, -circle])):
         (line,) = alike(vertices).lines
@@ -78,7 +79,7 @@ def test_smooth_body_has_no_facets():
     "vertices",
     [
         *(np.zeros((0, 3)), np.ones((1, 3)), np.ones((9, 3)), np.eye(3)[:2]),
-        *(1e308 * np.eye(9, 3), 1.7e308 * np.random.default_rng(1).uniform(-1, 1, (2000, 3))),
+        *(1e308 * np.eye(9, 3), 1.7e308 * default_rng(1).uniform(-1, 1, (2000, 3))),
         *(trimesh.creation.box(size).vertices for size in ([1.2, 1.32, 1.05], [1.7, 1.2, 0.08])),
         trimesh.creation.icosphere(3).vertices * [1.1, 0.8, 0.95],
         *(normal((500, 3), 1) * x for x in ([1, 1, 0], [1, 0, 0])),

@@ -12,7 +12,7 @@ import pinhole_jax as pj
 from pinhole_jax import formats, io
 
 CAMERA = usual_camera(64, 48)
-OTHER = turned(CAMERA, [0, 1, 0.2], 60)
+OTHER = turned(CAMERA, 60, axis=[0, 1, 0.2])
 MESH = pj.shapes.bumpy(2)
 POINTS = np.random.default_rng(0).uniform(-1, 1, (20, 3))
 AXES = Rotation.from_rotvec([0.4, -1.1, 0.7]).as_matrix()

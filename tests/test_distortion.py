@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from chosen import first
 from jax.flatten_util import ravel_pytree
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from oracles import central_difference, normal
 from refusals import refusal
@@ -40,7 +41,7 @@ def by_opencv(camera, points):
 @pytest.mark.parametrize("model", [BROWN, FISHEYE, RATIONAL], ids=["brown", "fisheye", "rational"])
 def test_points_project_as_opencv_projects_them(model):
     view = camera(model)
-    points = np.random.default_rng(0).uniform(-1, 1, (200, 3))
+    points = default_rng(0).uniform(-1, 1, (200, 3))
     wanted = by_opencv(view, points)
     assert_allclose(pj.project(view, points), wanted, rtol=0, atol=1e-10)
 
@@ -48,7 +49,7 @@ def test_points_project_as_opencv_projects_them(model):
 @pytest.mark.parametrize("model", first(1, [None, BROWN, FISHEYE]))
 def test_derivatives_of_rays_and_projection_are_differences(model):
     view = camera(model, 1.2, 4, 3)
-    points = jnp.asarray(np.random.default_rng(1).uniform(-1, 1, (5, 3)))
+    points = jnp.asarray(default_rng(1).uniform(-1, 1, (5, 3)))
     flat, unravel = ravel_pytree((view, points))
 
     @jax.jit

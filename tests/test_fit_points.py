@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from arm import check_slope
 from chosen import full, long, on_cpu
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from oracles import central_difference, turned
 from refusals import refusal, refuses
@@ -82,7 +83,7 @@ def test_points_in_float64_are_no_matter_to_warn_of_where_jax_has_float32():
 def test_error_bars_are_those_of_the_linearised_problem():
     """By differences of projected points: sigma^2 (J^T J)^-1."""
     truth = NEAR[0]
-    points2d = seen(truth, SOLID) + np.random.default_rng(0).normal(0, 0.1, (30, 2))
+    points2d = seen(truth, SOLID) + default_rng(0).normal(0, 0.1, (30, 2))
     fit = pj.fit_points(SOLID, points2d, START, free=("pose", "phi"))
     moved = lambda step: seen(fit.displaced(step), SOLID).ravel()
     J = central_difference(moved, np.zeros(7))
@@ -97,7 +98,7 @@ def test_error_bars_are_those_of_the_linearised_problem():
 def test_prior_counts_once(common):
     """Once if shared, else in each view: the estimate is the precision-weighted mean."""
     truth = NEAR
-    noise = np.random.default_rng(1).normal(0, 0.2, (4, 30, 2))
+    noise = default_rng(1).normal(0, 0.2, (4, 30, 2))
     points2d, own = seen(truth, SOLID) + noise, ("pose",) if common else ("pose", "phi")
     plain = pj.fit_points(SOLID, points2d, START, own, common)
     mean, std = 0.74, plain[0].std[-1] / 1.5
@@ -133,7 +134,7 @@ def test_views_share_their_intrinsics_within_bounds():
 @pytest.mark.parametrize("common", [long(("phi",)), full(())])
 def test_cameras_move_with_points_and_weights_as_refits_do(common):
     """Residuals are large, so the second derivatives count; one point is not seen by one view."""
-    random, cameras = np.random.default_rng(3), NEAR[:3]
+    random, cameras = default_rng(3), NEAR[:3]
     points2d = seen(cameras, SOLID) + random.normal(0, 1, (3, 30, 2))
     points2d[1, 3] = np.nan
     free = ("pose",) if common else ("pose", "phi")
@@ -161,7 +162,7 @@ def test_priors_are_not_differentiated():
 
 def test_weight_of_two_equals_a_point_seen_twice():
     """And weights of inverse variances take a noise of one."""
-    points2d = seen(NEAR[0], SOLID) + np.random.default_rng(5).normal(0, 0.3, (30, 2))
+    points2d = seen(NEAR[0], SOLID) + default_rng(5).normal(0, 0.3, (30, 2))
     weights = np.where(np.arange(30) < 10, 2.0, 1.0)
     fit = lambda rows, **more: pj.fit_points(
         SOLID[rows], points2d[rows], START.replace(phi=0.75), **more
@@ -179,7 +180,7 @@ def test_weight_of_two_equals_a_point_seen_twice():
 @pytest.mark.parametrize("points", [SOLID, PLANE], ids=["solid", "plane"])
 def test_points_that_are_somewhere_else_do_not_count(points):
     """Two of five are: too many for a direct solution by all. The rest is fitted as if alone."""
-    random, truth = np.random.default_rng(6), NEAR[1]
+    random, truth = default_rng(6), NEAR[1]
     points2d = seen(truth, points) + random.normal(0, 0.1, (30, 2))
     points2d[:12] = random.uniform(0, [W, H], (12, 2))
     start, told = START.replace(phi=0.75), []
@@ -198,7 +199,7 @@ def test_points_that_are_somewhere_else_do_not_count(points):
 @pytest.mark.parametrize("common", [("phi",), long(())])
 def test_distant_plane_is_ambiguous_by_reversed_depths(common, exhaustive):
     """And is ruled out where the camera is near, in many draws of the noise."""
-    random, truth = np.random.default_rng(7), NEAR[1:3]
+    random, truth = default_rng(7), NEAR[1:3]
     points2d = seen(truth, 0.05 * PLANE) + random.normal(0, 0.05, (2, 30, 2))
     fits = pj.fit_points(0.05 * PLANE, points2d, truth, "pose", common)
     for fit, true in zip(fits, truth, strict=True):
@@ -242,12 +243,12 @@ def tumbled(rng):
 @pytest.mark.parametrize("seed", range(6))
 def test_three_points_have_all_their_exact_poses_as_modes(seed):
     """Against OpenCV's; the one nearest to the start is first, and a start at the truth is it."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     for k in range(5):
         true, points = tumbled(rng), rng.uniform(-1, 1, (3, 3))
         points2d = seen(true, points)
         exact = by_opencv(points, points2d, true)
-        start = true if k == 0 else turned(true, rng.normal(size=3), 40 * k)
+        start = true if k == 0 else turned(true, 40 * k, axis=rng.normal(size=3))
         fit = pj.fit_points(points, points2d, start)
         fits = [fit, *fit.modes]
         for rotation in exact:
@@ -269,7 +270,7 @@ def test_three_points_have_all_their_exact_poses_as_modes(seed):
     ],
 )
 def test_error_bars_are_infinite_where_no_coordinate_is_left_over(number, free):
-    rng = np.random.default_rng(number)
+    rng = default_rng(number)
     true = NEAR[0]
     points = rng.uniform(-1, 1, (number, 3))
     points2d = seen(true, points) + rng.normal(0, 0.1, (number, 2))
@@ -289,7 +290,7 @@ def test_error_bars_are_infinite_where_no_coordinate_is_left_over(number, free):
 
 def test_points_of_one_view_show_how_those_of_another_err():
     """Three points in one of two views; eight in the other show how points err."""
-    rng, true = np.random.default_rng(2), NEAR[:2]
+    rng, true = default_rng(2), NEAR[:2]
     points = rng.uniform(-1, 1, (8, 3))
     points2d = seen(true, points) + rng.normal(0, 0.1, (2, 8, 2))
     points2d[1, 3:] = np.nan
@@ -301,7 +302,7 @@ def test_points_of_one_view_show_how_those_of_another_err():
 @pytest.mark.long
 def test_prior_makes_up_for_a_missing_coordinate():
     """A known aspect: as if it were held, of four points with nine numbers for eight unknowns."""
-    rng, true = np.random.default_rng(4), NEAR[0]
+    rng, true = default_rng(4), NEAR[0]
     points = rng.uniform(-1, 1, (4, 3))
     for _ in range(12):
         points2d = seen(true, points) + rng.normal(0, 0.05, (4, 2))
@@ -316,16 +317,16 @@ def test_prior_makes_up_for_a_missing_coordinate():
 
 def test_few_points_are_found_from_any_start_or_not_called_converged():
     """In none of 40 is the camera called converged and far off, by four sigma and a degree."""
-    rng = np.random.default_rng(5)
+    rng = default_rng(5)
     right = 0
     for k in range(40):
         true, number = tumbled(rng), 4 + k % 4
         points = rng.uniform(-1, 1, (number, 3)) * [1, 1, k % 3 > 0]
         noise = 0.1 * (k % 2)
         points2d = seen(true, points) + rng.normal(0, 1, (number, 2)) * noise
-        fit = pj.fit_points(
-            points, points2d, turned(true, rng.normal(size=3), rng.uniform(90, 180))
-        )
+        axis = rng.normal(size=3)
+        start = turned(true, rng.uniform(90, 180), axis=axis)
+        fit = pj.fit_points(points, points2d, start)
         off = [apart(f.camera, true)[0] for f in (fit, *fit.modes)]
         sigma = float(np.linalg.norm(fit.std[:3]))
         right += fit.status == "converged"
@@ -337,7 +338,7 @@ def test_few_points_are_found_from_any_start_or_not_called_converged():
 
 def test_points_that_are_not_these_are_a_misfit():
     """Or are farther off than they are said to err."""
-    rng, true = np.random.default_rng(6), NEAR[0]
+    rng, true = default_rng(6), NEAR[0]
     for number, noise_px in ((4, None), (6, None), (30, None), (30, 0.05)):
         points = rng.uniform(-1, 1, (number, 3))
         points2d = seen(true, points)
@@ -367,7 +368,7 @@ def test_points_that_do_not_show_all_are_rank_deficient(points, free, lost, word
 
 @pytest.mark.parametrize("part", ["position", "orientation"])
 def test_parts_of_the_pose_are_found_from_any_start(part):
-    rng = np.random.default_rng(7)
+    rng = default_rng(7)
     for _ in range(10):
         true, points = tumbled(rng), rng.uniform(-1, 1, (4, 3))
         other, shift = tumbled(rng), 2 * rng.normal(size=3)
@@ -425,7 +426,7 @@ def test_error_bars_hold_where_the_errors_of_a_view_are_alike():
     """By 10 refits of 20 views; by independent errors they were off by 2.0 sigma (rms)."""
     exact, by = seen(around(20), SOLID), []
     for seed in range(10):
-        random = np.random.default_rng(seed)
+        random = default_rng(seed)
         fit = lens(exact + bent(20, random) + random.normal(0, 0.05, exact.shape))
         numbers = [float(fit.camera.phi), *np.asarray(fit.camera.lens.principal_point)]
         by.append((np.array(numbers) - [0.75, W / 2, H / 2]) / fit.std[-3:])
@@ -434,7 +435,7 @@ def test_error_bars_hold_where_the_errors_of_a_view_are_alike():
 
 def test_error_bars_stay_where_errors_are_independent_or_given():
     """They are those by `noise_px`, times how much larger the residuals are."""
-    random, exact = np.random.default_rng(0), seen(around(20), SOLID)
+    random, exact = default_rng(0), seen(around(20), SOLID)
     noisy = exact + random.normal(0, 0.1, exact.shape)
     shown, given = lens(noisy), lens(noisy, 0.1)
     assert 0.9 < shown.std[-1] / given.std[-1] < 1.1

@@ -14,7 +14,7 @@ from pinhole_jax import formats
 #: All of one K, which an OpenCV file asks for, and of one resolution, which a Blender scene does;
 #: near and far.
 BASE = skew_camera(64, 49)
-CAMERAS = [turned(BASE, [3, 1, 2], 50 * k, 10.0 ** (k - 3)) for k in range(6)]
+CAMERAS = [turned(BASE, 50 * k, 10.0 ** (k - 3), axis=[3, 1, 2]) for k in range(6)]
 HOSTILE = [
     "", " ", "a b", " a", "a ", "a  b", "a\nb", "a\r\nb", "a\tb", "\n", "\0", "a\0b", "\x01",
     "a\x01f",

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from oracles import body, mesh_coverage
 
@@ -67,7 +68,7 @@ def with_change(camera, scene, direction):
 def test_sheets_on_the_grid_and_their_derivative_are_exact(step, exhaustive):
     """On a pixel's side an edge counts for the pixel that it moves into."""
     for seed in range(MANY if exhaustive else SOME):
-        random, turn = np.random.default_rng(seed), seed % 4
+        random, turn = default_rng(seed), seed % 4
         vertices, faces = sheets(random, step)
         across, up = random.uniform(0.1, 1, 2)
         way = (across * np.cross([0, 0, -1], UP[turn]) + up * UP[turn]) / 16
@@ -94,7 +95,7 @@ def on_one_line(random):
 def test_edges_that_coincide_match_the_polygon_union(exhaustive):
     """Rounding lets one edge on a line, and not another, come into a pixel beside its corner."""
     for seed in range(10 * MANY if exhaustive else 2 * SOME):
-        vertices, faces = on_one_line(np.random.default_rng(seed))
+        vertices, faces = on_one_line(default_rng(seed))
         view = camera(seed % 4)
         expected = mesh_coverage(view, vertices, faces)
         image = pj.silhouette(view, scene_of(vertices, faces))

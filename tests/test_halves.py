@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from chosen import long
 from masks import wavy
+from numpy.random import default_rng
 from oracles import central_difference, lump, normal, usual_camera
 from refusals import refusal
 from results import NAMES, fit_at
@@ -43,7 +44,7 @@ def checks_of(refit, count=200):
 @pytest.mark.parametrize("names, px", [(NAMES, 0.1), (NAMES[:6], 3.0)])
 def test_halves_of_right_error_bars_differ_by_chance_alone(names, px):
     """... even where rotations are uncertain by many degrees about a far eye."""
-    random, covariance = np.random.default_rng(0), known_by(px, names)
+    random, covariance = default_rng(0), known_by(px, names)
     checks, rms = checks_of(lambda: drawn(random, covariance, names))
     assert kstest([check.chance for check in checks], "uniform").pvalue > 1e-3
     assert rms == pytest.approx(1, abs=0.06)
@@ -55,7 +56,7 @@ def test_halves_of_right_error_bars_differ_by_chance_alone(names, px):
 
 @pytest.mark.parametrize("narrow", [2.0, 4.0])
 def test_narrow_error_bars_are_noticed(narrow):
-    random, covariance = np.random.default_rng(1), known_by(0.5)
+    random, covariance = default_rng(1), known_by(0.5)
     checks, rms = checks_of(lambda: drawn(random, covariance, told=narrow**-2), 100)
     assert rms == pytest.approx(narrow, rel=0.1)
     assert np.mean([check.agrees for check in checks]) < (0.4 if narrow == 2 else 0.05)
@@ -105,7 +106,7 @@ def test_halves_of_wavy_outlines_differ_by_their_error_bars():
     squares, count = 0.0, 0
     for seed in range(8):
         exact = np.asarray(pj.silhouette(CAMERA, SCENE))
-        mask = wavy(exact, np.random.default_rng(seed), 0.7, 6.0)
+        mask = wavy(exact, default_rng(seed), 0.7, 6.0)
         fit = pj.fit_camera(SCENE, mask, CAMERA)
         refit = lambda w, m=mask, c=fit.camera: pj.fit_camera(SCENE, m, c, weight=w)
         check = pj.split_check(refit, pj.outline_halves(mask, fit.mask_error))
@@ -116,7 +117,7 @@ def test_halves_of_wavy_outlines_differ_by_their_error_bars():
 @pytest.mark.parametrize("told", [long(1.0), 0.1])
 def test_halves_of_noisy_points_differ_by_their_error_bars(told):
     """... by noise that is known, and by ten times as much as was said."""
-    random = np.random.default_rng(2)
+    random = default_rng(2)
     cameras = [CAMERA.replace(e=e) for e in random.normal([0, 0, 6], size=(8, 3))]
     rms = []
     for _ in range(10):
@@ -133,7 +134,7 @@ def test_halves_of_noisy_points_differ_by_their_error_bars(told):
 
 def test_objects_of_halves_are_compared_about_their_middle():
     """Poses whose errors are turns about, and shifts of, a middle far from the object's origin."""
-    random, middle = np.random.default_rng(3), np.array([3.0, -2, 4])
+    random, middle = default_rng(3), np.array([3.0, -2, 4])
     sigma = np.array([0.005, 0.01, 0.002, 0.01, 0.01, 0.03])
     of_origin = np.eye(6)
     of_origin[3:, :3] = np.cross(middle, np.eye(3)).T  # a turn w moves the origin by middle x w

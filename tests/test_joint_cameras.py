@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 from arm import OFF, START, TRUTH, apart, posture
+from numpy.random import default_rng
 from oracles import drawn
 
 import pinhole_jax as pj
@@ -29,7 +30,7 @@ def test_camera_is_found_with_no_start(views):
 @pytest.fixture(scope="module")
 def far_off(arm):
     """Hard masks of two postures, and a start from which descents lead elsewhere."""
-    random = np.random.default_rng(134)
+    random = default_rng(134)
     scenes = []
     for _ in range(3):
         turn, aside = random.uniform(-1, 1, 3), 1.2 * random.uniform(-1, 1, 2)
@@ -71,7 +72,7 @@ def test_hand_eye_camera_is_found(scenes):
     held = exponential(np.array([0.2, 0.1, -0.1, 0.1, 0.2, 0.3]))
     views = []
     for k in range(4):
-        random = np.random.default_rng(k)
+        random = default_rng(k)
         off = exponential(np.append(random.uniform(-0.2, 0.2, 3), random.uniform(-0.4, 0.4, 3)))
         mount = off @ pose_of(TRUTH) @ inverse(held)
         seen = drawn(at_pose(TRUTH, mount @ held), scenes[0])

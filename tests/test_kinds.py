@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from honesty import jpeg
+from numpy.random import default_rng
 from oracles import drawn, lump, normal, usual_camera
 from scipy.ndimage import gaussian_filter
 
@@ -15,7 +16,7 @@ MASK = drawn(CAMERA, lump(3))
 
 
 def sampled(mask, number):
-    return np.random.default_rng(0).binomial(number, np.clip(mask, 0, 1)) / number
+    return default_rng(0).binomial(number, np.clip(mask, 0, 1)) / number
 
 
 def bytes_of(mask):
@@ -36,7 +37,7 @@ def rounded(mask):
 
 def few_greys(mask):
     """A picture without soft edges, matted: a tenth of its edge's pixels is grey."""
-    some = np.random.default_rng(0).random(mask.shape) < 0.1
+    some = default_rng(0).random(mask.shape) < 0.1
     return bytes_of(np.where(some, mask, mask > 0.5))
 
 

@@ -54,7 +54,7 @@ def folder(tmp_path_factory):
     io.save_camera(folder / "truth.json", CAMERA)
     endless = {**io.camera_to_dict(CAMERA), "W": 20_000, "H": 20_000, "pose": None}
     (folder / "endless.json").write_text(json.dumps(endless))
-    io.save_camera(folder / "start.json", turned(CAMERA, [1, 2, 3], 8, 1.05))
+    io.save_camera(folder / "start.json", turned(CAMERA, 8, 1.05))
     io.save_image(folder / "mask.png", drawn(CAMERA, SCENE))
     dot = Image.new("L", (96, 80))
     dot.save(folder / "black.png")
@@ -117,7 +117,7 @@ def test_render_then_fit_then_check(folder, report):
     assert any(cache.rglob("*"))  # compiled programs are kept
 
     # Later: has the camera moved? By half a degree, another mask says.
-    io.save_image(folder / "pushed.png", drawn(turned(CAMERA, [1, 2, 3], 0.5, 1.0), SCENE))
+    io.save_image(folder / "pushed.png", drawn(turned(CAMERA, 0.5, 1.0), SCENE))
     pushed = run(f"check {out}/camera.json {folder}/bumpy.ply {folder}/pushed.png", cache)
     assert pushed.returncode == 1, pushed.stderr
     assert "moved: " in pushed.stdout

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from oracles import drawn, lump, usual_camera
 from PIL import Image
@@ -24,10 +25,10 @@ INSIDE = disc() > 0.5
 WHITE, BLACK = np.full_like(SOFT, 255), np.zeros_like(SOFT)
 HARD = np.where(SOFT > 0, WHITE, BLACK)
 CHEQUER = np.uint8(255 * (np.indices((H, W)).sum(0) // 8 % 2))
-TEXTURE = np.random.default_rng(0).integers(20, 235, (H, W, 3), np.uint8)
+TEXTURE = default_rng(0).integers(20, 235, (H, W, 3), np.uint8)
 RAMP = np.tile(np.arange(256, dtype=np.uint8), (20, 1))
 FRAMED = np.pad(SOFT[1:-1, 1:-1], 1, constant_values=255)
-LEVELS = np.random.default_rng(1).integers(0, 4, (9, 7), np.uint8)
+LEVELS = default_rng(1).integers(0, 4, (9, 7), np.uint8)
 
 
 def two(inside, outside, dtype=np.uint8):
@@ -289,7 +290,7 @@ def test_background_colour_gives_partial_coverage_at_edges(tmp_path, way):
     photo = covered[..., None] * shade + (1 - covered[..., None]) * back
     photo[:2, :2] = 0  # specks, one in the object
     photo[41, 50] = back
-    noisy = photo + np.random.default_rng(2).normal(0, 1, photo.shape)
+    noisy = photo + default_rng(2).normal(0, 1, photo.shape)
     mask, said = load(tmp_path, np.clip(np.round(noisy), 0, 255).astype(np.uint8), way)
     off = lambda mask: np.sqrt(np.mean((mask / 255 - covered) ** 2))
     assert off(mask) < 0.012

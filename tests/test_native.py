@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from fuzz_native import compare
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from oracles import lump
 from processes import printed
@@ -26,7 +27,7 @@ def camera(e, lens=None):
     return pj.Camera(e, jnp.zeros(3), jnp.array([0.0, 1, 0]), 0.8, W=24, H=18, lens=lens)
 
 
-RANDOM = np.random.default_rng(3)
+RANDOM = default_rng(3)
 SOUP = pj.Mesh(RANDOM.normal(size=(36, 3)), np.arange(36).reshape(-1, 3))
 BALLS = pj.Spheres(RANDOM.normal(size=(5, 3)), RANDOM.uniform(0.1, 0.6, 5))
 SCENES = {"closed": lump(1), "both": pj.Scene(SOUP, BALLS)}
@@ -42,7 +43,7 @@ def drawn(e, scene):
 def test_coverage_and_derivatives_are_those_by_arrays(kind, bends):
     """Forward and back, by the eye and by the scene."""
     lens = pj.Lens([12.5, 8.5], distortion=pj.BrownConrady(k1=-0.2, p1=0.01)) if bends else None
-    compare(camera(EYE, lens=lens), SCENES[kind], np.random.default_rng(4), 5e-14)
+    compare(camera(EYE, lens=lens), SCENES[kind], default_rng(4), 5e-14)
 
 
 def test_batches_are_their_members():

@@ -4,6 +4,7 @@ import cv2
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from oracles import camera_ahead, normal
 from results import NAMES, fit_at
@@ -26,7 +27,7 @@ def change(pose, other):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_covariance_equals_that_of_differences(seed):
-    camera = random_camera(np.random.default_rng(seed))
+    camera = random_camera(default_rng(seed))
     fit = fit_of(camera, seed=seed)
     pose = formats.object_pose(fit, pixel_centres="half")
     at = lambda step: formats.object_pose(
@@ -39,7 +40,7 @@ def test_covariance_equals_that_of_differences(seed):
 
 
 def test_pose_projects_as_the_camera_does():
-    camera = random_camera(np.random.default_rng(3))
+    camera = random_camera(default_rng(3))
     pose = formats.object_pose(fit_of(camera), pixel_centres="half")
     middle = 3 * np.asarray(camera.p) - 2 * np.asarray(camera.e)
     points = middle + normal((5, 3), 4) / 4

@@ -70,7 +70,7 @@ def check(fit, truth, wall, scene, seen):
 def test_visible_edge_is_enough_from_a_start():
     truth = anywhere(0)
     seen, wall = behind_a_wall(truth, SCENE, 0.3)
-    start = turned(truth, [1, 2, 3], 10)
+    start = turned(truth, 10)
     fit = pj.fit_camera(SCENE, seen, start)
     check(fit, truth, wall, SCENE, seen)
     assert fit.status == "converged"
@@ -99,7 +99,7 @@ def test_occluder_that_mimics_another_view_is_not_called_certain(sign):
     left, right = np.flatnonzero(inside.any(axis=0))[[0, -1]] + 0.5
     third = left + (right - left) / 3
     seen = inside & (third > COLUMNS if sign < 0 else left + right - third < COLUMNS)
-    fit = pj.fit_camera(scene, seen, turned(truth, [1, 2, 3], 10))
+    fit = pj.fit_camera(scene, seen, turned(truth, 10))
     assert fit.status != "converged" or degrees(fit, truth) < 5
     assert pj.fit_camera(scene, seen, None, phi=0.6).status != "converged"
 
@@ -145,5 +145,5 @@ def test_different_shape_is_not_taken_for_an_occluded_one(seed):
     """Its outline lies within the object's here and there, as if something stood before it."""
     scene, other = (lump(3, k) for k in (0, seed))
     camera = usual_camera(192, 160)
-    fit = pj.fit_camera(scene, drawn(camera, other) > 0.5, turned(camera, [1, 2, 3], 10))
+    fit = pj.fit_camera(scene, drawn(camera, other) > 0.5, turned(camera, 10))
     assert fit.status != "converged"

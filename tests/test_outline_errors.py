@@ -6,6 +6,7 @@ from chosen import full
 from honesty import signed_distance
 from intervals import error
 from masks import wavy
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from oracles import body, drawn, lump, single, turned, usual_camera
 from results import degrees
@@ -40,7 +41,7 @@ def test_errors_of_one_bit_are_alike_along_rows_and_cancel_across(roll):
     plate = pj.Mesh(
         [[-1, -0.7, 0], [1, -0.7, 0], [1, 0.7, 0], [-1, 0.7, 0]], [[0, 1, 2], [0, 2, 3]]
     )
-    scene, random = single(pj.Scene(mesh=plate)), np.random.default_rng(0)
+    scene, random = single(pj.Scene(mesh=plate)), default_rng(0)
     up = [np.sin(np.deg2rad(roll)), np.cos(np.deg2rad(roll)), 0]
     views = []
     for x, y, z in random.uniform(-1, 1, (60, 3)) * [0.05, 0.05, 0.1]:
@@ -63,7 +64,7 @@ def test_errors_of_one_bit_are_alike_along_rows_and_cancel_across(roll):
 
 @pytest.mark.parametrize("px", [1.0, full(2.0)])
 def test_size_of_errors_is_that_of_a_mask_as_it_was_drawn(px):
-    masks = [wavy(IMAGE, np.random.default_rng(seed), px, 10.0) for seed in range(4)]
+    masks = [wavy(IMAGE, default_rng(seed), px, 10.0) for seed in range(4)]
     errors = [pj.fit_camera(SCENE, mask, single(CAMERA)).mask_error.px for mask in masks]
     assert 0.5 < np.median(errors) / px < 2
 
@@ -78,7 +79,7 @@ def test_mask_without_some_pixels_of_its_outline_is_drawn():
 @pytest.mark.long
 def test_rendered_triangle_soup_is_not_taken_for_drawn():
     """Pixels in which several edges lie err for each of them."""
-    random = np.random.default_rng(0)
+    random = default_rng(0)
     corners = random.normal(0, 0.5, (200, 1, 3)) + random.normal(0, 0.2, (200, 3, 3))
     soup = single(body(corners.reshape(-1, 3), np.arange(600).reshape(-1, 3)))
     mask = np.asarray(pj.silhouette(single(CAMERA), soup)) > 0.5
@@ -95,10 +96,10 @@ def intervals(trials):
     """Return errors in standard errors (trials, 6), as stated and if pixels were independent."""
     stated, independent = [], []
     for trial in trials:
-        random = np.random.default_rng(trial)
+        random = default_rng(trial)
         px, length = np.exp(random.uniform(np.log([0.3, 2]), np.log([2, 30])))
         mask = wavy(IMAGE, random, px, length, random.uniform(-1, 1))
-        fit = pj.fit_camera(SCENE, mask, single(turned(CAMERA, [0.3, 1, 0.2], 3.0)))
+        fit = pj.fit_camera(SCENE, mask, single(turned(CAMERA, 3.0, axis=[0.3, 1, 0.2])))
         off = np.abs(error(fit.camera, CAMERA))
         stated.append(off / fit.std)
         independent.append(off / np.sqrt(np.diag(fit.independent_covariance)))
@@ -128,7 +129,7 @@ def test_pixels_of_zero_weight_are_no_mask_error():
 @pytest.mark.long
 def test_scale_of_the_weights_does_not_matter():
     # (Generalised least squares end a tenth of a standard error apart.)
-    for mask, rtol in ((IMAGE > 0.5, 0.05), (wavy(IMAGE, np.random.default_rng(0), 1, 10), 1.0)):
+    for mask, rtol in ((IMAGE > 0.5, 0.05), (wavy(IMAGE, default_rng(0), 1, 10), 1.0)):
         one, other = (
             pj.fit_camera(SCENE, mask, single(CAMERA), weight=np.full(mask.shape, scale))
             for scale in (1.0, 0.01)
@@ -140,7 +141,7 @@ def test_scale_of_the_weights_does_not_matter():
 
 def test_mask_that_shows_little_is_uncertain():
     small = single(CAMERA.replace(e=[1.8, 6.0, 30.0]))
-    mask = wavy(drawn(small, SCENE), np.random.default_rng(0), 1.5, 8.0)
+    mask = wavy(drawn(small, SCENE), default_rng(0), 1.5, 8.0)
     fit = pj.fit_camera(SCENE, mask, small)
     assert fit.status in ("uncertain", "ambiguous")
     assert np.max(fit.std[:3]) > np.deg2rad(4)
@@ -150,7 +151,7 @@ def test_mask_that_shows_little_is_uncertain():
 @pytest.mark.parametrize("px", [3.0, full(-2.0)])
 def test_mask_that_is_grown_all_round_does_not_turn_the_camera(px):
     """(The least squares of pixels are 3.5 and 2.4 degrees off.)"""
-    grown, start = signed_distance(IMAGE) > -px, turned(single(CAMERA), [1, 2, 3], 5)
+    grown, start = signed_distance(IMAGE) > -px, turned(single(CAMERA), 5)
     fit = pj.fit_camera(SCENE, grown, start)
     assert fit.status == "converged"
     assert degrees(fit, single(CAMERA)) < min(0.5, 3 * np.rad2deg(np.linalg.norm(fit.std[:3])))
@@ -166,7 +167,7 @@ def test_ellipsoids_hold_for_errors_of_a_circle_that_are_rough_or_smooth(power, 
     distance = np.linalg.norm(at[:, None] - at, axis=-1)
     root = np.linalg.cholesky(np.exp(-((distance / length) ** power)) + 1e-6 * np.eye(60))
     model = ErrorModel(at, 1e-3 / 4.2, RULES.lengths, RULES.shapes)
-    random, held = np.random.default_rng(0), []
+    random, held = default_rng(0), []
     for _ in range(40):
         fit = model.fit(model.evidence(root @ random.normal(size=60), by_move))
         held.append(fit.move @ np.linalg.solve(fit.covariance, fit.move) < 9.49)  # (95 % of four)
@@ -175,7 +176,7 @@ def test_ellipsoids_hold_for_errors_of_a_circle_that_are_rough_or_smooth(power, 
 
 def test_evidence_without_gross_offsets_equals_that_of_the_others():
     """(The oracle: a model of the others' places alone.)"""
-    random = np.random.default_rng(0)
+    random = default_rng(0)
     at = np.concatenate([np.zeros((20, 2)), random.normal(size=(20, 2))]) * 9
     gross, offset = np.arange(40) < 20, random.normal(size=40)
     by_move = random.normal(size=(40, 3)) * ~gross[:, None]

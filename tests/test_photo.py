@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 import pinhole_jax as pj
 
 CAMERA = usual_camera(192, 160)
-START = turned(CAMERA, [1, 2, 3], 3)
+START = turned(CAMERA, 3)
 TURN = Rotation.from_euler("y", 120, degrees=True).as_matrix()
 SCENE = lump(3)
 SHOWN = drawn(CAMERA, SCENE)

@@ -75,7 +75,7 @@ def test_nearly_round_body_is_found_from_all_round_its_axis():
     scene = body(vertices.astype(np.float32), ball.faces)
     eye = 5.5 * np.array([0.8, -0.75, 0]) / np.hypot(0.8, 0.75) + 0.5 * dent
     truth = single(pj.Camera(eye, np.zeros(3), dent, 0.6, 1.0, 800, 800))
-    fit = pj.fit_camera(scene, drawn(truth, scene) > 0.5, turned(truth, dent, 122))
+    fit = pj.fit_camera(scene, drawn(truth, scene) > 0.5, turned(truth, 122, axis=dent))
     assert degrees(fit, truth) < 0.3
 
 
@@ -87,7 +87,7 @@ def test_noisy_mask_is_explained(clipped):
     for seed in range(3):
         noise = 0.02 * normal(image.shape, seed)
         target = np.clip(image + noise, 0, 1) if clipped else image + noise
-        fit = pj.fit_camera(scene, target, turned(CAMERA, [1, 2, 3], 8))
+        fit = pj.fit_camera(scene, target, turned(CAMERA, 8))
         assert fit.status == "converged"
         assert degrees(fit, CAMERA) < 1
 
@@ -107,14 +107,14 @@ def test_faceted_body_fits_as_well_one_facet_on():
     """The start is nearer to a camera one facet on: the mask cannot tell."""
     mask = drawn(CAMERA, TORUS)
     for target in (mask, mask > 0.5):
-        fit = pj.fit_camera(TORUS, target, turned(CAMERA, [0, 0, 1], 9))
+        fit = pj.fit_camera(TORUS, target, turned(CAMERA, 9, axis=[0, 0, 1]))
         assert fit.status in ("rank_deficient", "ambiguous")
         assert fit.modes or "rotation about the axis" in fit.weak[0]
 
 
 def test_contours_within_the_object_are_no_outline():
     camera = pj.Camera([3.0, 3.5, 2.0], [0.1, 0, 0], [0, 0, 1], 0.6, 1.0, 96, 80)
-    fit = pj.fit_camera(TORUS, drawn(camera, TORUS) > 0.5, turned(camera, [1, 2, 3], 4))
+    fit = pj.fit_camera(TORUS, drawn(camera, TORUS) > 0.5, turned(camera, 4))
     assert not any("far from the mask's edge" in words for words in fit.weak)
 
 
@@ -123,7 +123,7 @@ def test_sigma_does_not_fall_below_rounding():
     scene, camera = lump(3), single(CAMERA)
     mask = drawn(camera, scene)
     for k, axis in enumerate(np.eye(3)):
-        start = single(turned(CAMERA, axis + 0.1, 8, 1 + 0.02 * k))
+        start = single(turned(CAMERA, 8, 1 + 0.02 * k, axis=axis + 0.1))
         fit = pj.fit_camera(scene, mask, start)
         sigma = [np.linalg.norm(fit.std[:3]), np.linalg.norm(fit.std[3:])]
         assert np.all(np.divide(pj.pose_error(fit.camera, camera), sigma) < 4)
@@ -147,7 +147,7 @@ def test_nut_fits_as_well_one_side_on(sides, monkeypatch):
     nut = trimesh.creation.cylinder(radius=1, height=0.8, sections=sides)
     scene = body(nut)
     camera = pj.Camera([0.5, 4.0, 3.0], [0, 0, 0], [0, 0, 1], 0.6, 1.0, 96, 80)
-    start = turned(camera, [0, 0, 1], 0.8 * 180 / sides)
+    start = turned(camera, 0.8 * 180 / sides, axis=[0, 0, 1])
     for mask in (drawn(camera, scene), drawn(camera, scene) > 0.5):
         views = []
         for cores in (1, 3):

@@ -5,6 +5,7 @@ import time
 import numpy as np
 import pytest
 import shapely
+from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from refusals import refusal
 from scipy.spatial.transform import Rotation
@@ -15,7 +16,7 @@ from pinhole_jax._mesh_files import Polygons, triangulate
 def blob(n, seed=0, spread=0.5):
     """Return the corners of a star-shaped polygon that its first corner does not see whole."""
     angle = 2 * np.pi * np.arange(n) / n
-    radius = 1 + spread * np.random.default_rng(seed).uniform(-1, 1, n)
+    radius = 1 + spread * default_rng(seed).uniform(-1, 1, n)
     return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
 
 
@@ -100,7 +101,7 @@ def test_face_covers_its_polygon(name, turned, way):
 
 
 def test_random_simple_polygons():
-    random = np.random.default_rng(0)
+    random = default_rng(0)
     for seed in range(200):
         corners = blob(random.integers(4, 40), seed, random.uniform(0.1, 0.99))
         space = in_space(corners, Rotation.random(None, seed).as_matrix())
@@ -111,14 +112,14 @@ def test_faces_are_cut_one_after_the_other():
     names = [*SHAPES] * 3
     faces = [in_space(SHAPES[name]) for name in names] + [np.zeros((2, 3)), np.zeros((0, 3))]
     points, counts = np.concatenate(faces), np.array([*map(len, faces)])
-    order = np.random.default_rng(0).permutation(len(points))  # a face's corners lie anywhere
+    order = default_rng(0).permutation(len(points))  # a face's corners lie anywhere
     found = order[triangulate(Polygons(points[order], np.argsort(order), counts))]
     own = [cut(x) + first for x, first in zip(faces, np.cumsum(counts) - counts, strict=True)]
     assert_array_equal(found, np.concatenate(own))
 
 
 def test_quads_that_are_not_flat_are_cut_so_that_both_halves_face_their_way():
-    random = np.random.default_rng(0)
+    random = default_rng(0)
     for _ in range(200):
         space = in_space(np.roll(SHAPES["chevron"], random.integers(4), axis=0))
         space[:, 2] = random.uniform(-0.2, 0.2, 4)

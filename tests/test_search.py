@@ -82,7 +82,7 @@ def test_box_has_four_views():
     for f in (fit, *fit.modes):
         assert f.rms < 1e-6
         np.testing.assert_allclose(drawn(f.camera, scene), mask, atol=1e-4)
-    assert degrees(pj.fit_camera(scene, mask, turned(truth, [1, 2, 3], 20)), truth) < 1e-4
+    assert degrees(pj.fit_camera(scene, mask, turned(truth, 20)), truth) < 1e-4
 
 
 @pytest.mark.long

@@ -12,6 +12,7 @@ import pytest
 import shapely
 import trimesh
 from chosen import first, full, long
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from oracles import (
     body,
@@ -53,14 +54,14 @@ def bowl():
 
 
 def crowd(number=200):
-    random, ball = np.random.default_rng(2), trimesh.creation.icosphere(1)
+    random, ball = default_rng(2), trimesh.creation.icosphere(1)
     sizes, places = random.uniform(0.03, 0.15, number), random.uniform(-1, 1, (number, 3))
     vertices = [size * ball.vertices + place for size, place in zip(sizes, places, strict=True)]
     return trimesh.util.append_faces(vertices, number * [ball.faces])
 
 
 def soup(number=100):
-    random = np.random.default_rng(3)
+    random = default_rng(3)
     corners = random.uniform(-1, 1, (number, 1, 3)) + 0.25 * random.normal(size=(number, 3, 3))
     return corners.reshape(-1, 3), np.arange(3 * number).reshape(-1, 3)
 
@@ -73,7 +74,7 @@ def room():
 
 def turned_faces():
     vertices, faces = noisy_sphere()
-    turn = np.random.default_rng(4).random(len(faces)) < 0.4
+    turn = default_rng(4).random(len(faces)) < 0.4
     return vertices, np.where(turn[:, None], faces[:, ::-1], faces)
 
 
@@ -81,7 +82,7 @@ def rough(subdivisions, noise):
     """A sphere whose vertices are off by this many edges, in all directions."""
     sphere = trimesh.creation.icosphere(subdivisions)
     edge = sphere.edges_unique_length.mean()
-    off = np.random.default_rng(0).normal(0, noise * edge, sphere.vertices.shape)
+    off = default_rng(0).normal(0, noise * edge, sphere.vertices.shape)
     return sphere.vertices + off, sphere.faces
 
 
@@ -99,7 +100,7 @@ MESHES = {
 
 def cameras(number, dtype=float, W=W, H=H):
     """Return cameras from within to far; some look past the object, some see a part."""
-    random = np.random.default_rng(5)
+    random = default_rng(5)
     from_origin = ([0, 0, 0], [1, 0, 1], [0, 1, 0], 1.9, 1.0)
     yield pj.Camera(*(np.asarray(x, dtype) for x in from_origin), W, H)
     for k in range(number - 1):
@@ -135,7 +136,7 @@ def check(camera, scene, tolerance):
 def test_closed_meshes_match_the_polygon_union(seed, kind, of_mesh, lens):
     """Types mix, and the camera's decides."""
     vertices, faces = gentle(seed)
-    camera = random_camera(np.random.default_rng(seed), 40, 32).replace(lens=lens)
+    camera = random_camera(default_rng(seed), 40, 32).replace(lens=lens)
     camera = jax.tree.map(lambda x: x.astype(kind), camera)
     close = 1e-9 if kind == of_mesh == "float64" else 1e-4
     image = check(camera, body(vertices.astype(of_mesh), faces), close)
@@ -215,7 +216,7 @@ def test_pixel_that_holds_everything_is_resolved(size, copies, triangles):
 def quadrilaterals(w, h, number):
     """Yield corners (4, 2) of convex polygons in px, below a pixel and huge ones, thin ones, those
     on the grid; the last ones are three times the same."""
-    random = np.random.default_rng(0)
+    random = default_rng(0)
     for k in range(number):
         size = [0.3, 2, 10, 1e6][k % 4]
         corners = random.uniform(0, [w, h]) + size * random.normal(size=(4, 2))
@@ -253,7 +254,7 @@ def check_float32(cameras, scene, tolerance):
 @pytest.mark.usefixtures("in_arrays")
 def test_no_row_of_a_large_float32_image_is_covered_by_mistake():
     """Many curves pass within rounding of a pixel's corner there."""
-    random = np.random.default_rng(0)
+    random = default_rng(0)
     views = [single(random_camera(random, 1024, 1024)) for _ in range(3)]
     check_float32(views, single(body(*gentle())), 2e-3)
 
@@ -302,7 +303,7 @@ def pushed_and_pulled(mixed, directions, weight):
 
 @pytest.mark.long
 def test_derivatives_of_a_union_equal_central_differences_of_the_oracle(mixed):
-    random, start = np.random.default_rng(0), moving(mixed)
+    random, start = default_rng(0), moving(mixed)
     weight = random.normal(size=(mixed[0].H, mixed[0].W))
 
     def oracle(way, step):

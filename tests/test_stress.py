@@ -10,6 +10,7 @@ import pytest
 import stress
 from chosen import first
 from hypothesis import HealthCheck, given, settings, strategies as st
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from slopes import gradients
 
@@ -32,7 +33,7 @@ def image(view):
 
 def drawn(seed):
     """Return one of the views in which rounding is worth no more than 1e-12 px."""
-    random = np.random.default_rng(seed)
+    random = default_rng(seed)
     cases = (stress.usual, stress.inside, stress.on_vertex_plane, stress.degenerate, stress.wide)
     return random, cases[random.integers(len(cases))](random)
 
@@ -50,7 +51,7 @@ SLOPED = sorted({*stress.CASES} - {"1000 px in a row or column"})
 @given(seed=SEEDS)
 def test_hard_cases_are_right_to_some_epsilons(name, kind, seed):
     dtype = stress.TYPES[kind]
-    view = stress.CASES[name](np.random.default_rng(seed))
+    view = stress.CASES[name](default_rng(seed))
     try:
         stress.rounded(view, dtype)
     except ValueError as error:
@@ -79,7 +80,7 @@ def test_order_of_faces_and_vertices_does_not_matter(seed):
 @given(seed=SEEDS)
 def test_derivatives_are_finite_and_know_no_origin(name, seed):
     """Moving all vertices is moving eye and view point the other way."""
-    random = np.random.default_rng(seed)
+    random = default_rng(seed)
     view = stress.CASES[name](random)
     camera, vertices = stress.rounded(view, np.float64)
     weight = jnp.asarray(random.normal(size=(camera.H, camera.W)))

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from folders import in_trimesh
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from oracles import drawn, lump
 from PIL import Image
@@ -111,7 +112,7 @@ def test_strokes_on_the_object_tell_it_from_the_background(size, back):
     W, H = size
     y, x = np.mgrid[:H, :W] + 0.5
     truth = np.hypot((x - 0.45 * W) / W, (y - 0.5 * H) / H) < 0.28
-    noise = np.random.default_rng(0).normal(0, 6, (H, W, 3))
+    noise = default_rng(0).normal(0, 6, (H, W, 3))
     photo = np.where(truth[..., None], [200, 60, 40], [90, 120, 90]) + noise
     line = lambda kind, y, *x: Stroke(kind, W / 60, tuple((a * W, y * H) for a in x))
     guides = [line("object", 0.5, 0.35, 0.55), *[line("background", 0.1, 0.05, 0.95)] * back]
@@ -128,7 +129,7 @@ def test_guess_follows_the_strokes_alone_where_they_say_all():
 # A hand on the camera.
 
 CENTRE = np.array([0.2, -0.1, 0.3])
-POINTS = CENTRE + np.random.default_rng(2).normal(0, 0.3, (20, 3))
+POINTS = CENTRE + default_rng(2).normal(0, 0.3, (20, 3))
 
 
 def seen(camera, points):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 from folders import in_trimesh
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from oracles import filled, mesh_coverage, usual_camera
 
@@ -23,12 +24,12 @@ def together(*parts):
 
 
 def shuffled(vertices, faces):
-    return vertices, np.random.default_rng(0).permutation(faces)
+    return vertices, default_rng(0).permutation(faces)
 
 
 def with_slivers():
     """Cut faces open at the middles of some sides, and close the gaps with faces without area."""
-    vertices, faces, random = list(VERTICES), FACES.tolist(), np.random.default_rng(1)
+    vertices, faces, random = list(VERTICES), FACES.tolist(), default_rng(1)
     for k in random.choice(len(FACES), 12, replace=False):
         a, b, c = faces[k]
         # A middle that is exactly on the line: in numbers of few bits.

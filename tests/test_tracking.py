@@ -18,7 +18,7 @@ SCENE = lump(2)
 @pytest.fixture
 def frames(tmp_path):
     in_trimesh(SCENE.mesh).export(tmp_path / "part.ply")
-    cameras = [turned(CAMERA, [1, 2, 3], 3.0 * k, 1.0) for k in range(3)]
+    cameras = [turned(CAMERA, 3.0 * k, 1.0) for k in range(3)]
     for k, camera in enumerate(cameras):
         pj.io.save_image(tmp_path / f"{k}.png", drawn(camera, SCENE))
     fov = float(np.rad2deg(CAMERA.phi))

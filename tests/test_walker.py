@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from chosen import first
+from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from oracles import body, lump, random_rays
 
@@ -62,7 +63,7 @@ KINDS = ["scales", "lattice", "plane", "twice", "slivers", "film-covering"]
 def differ(scene_of, vertices, origin, direction, ours):
     """Return the hits that arrays do not find: neither for these numbers nor, in 100 trials, for
     ones that differ by rounding of the numbers seen from the rays' origin."""
-    random, eps = np.random.default_rng(0), 16 * np.finfo(vertices.dtype).eps
+    random, eps = default_rng(0), 16 * np.finfo(vertices.dtype).eps
     wrong = np.asarray(by_arrays(scene_of(vertices), origin[None], direction)) != ours
     seen = (vertices.astype(np.longdouble) - origin).astype(vertices.dtype)
     for _ in range(100):
@@ -77,7 +78,7 @@ def differ(scene_of, vertices, origin, direction, ours):
 @pytest.mark.parametrize("dtype", first(1, ["float32", "float64"]))
 def test_hits_in_soups_are_those_by_arrays(dtype, exhaustive):
     """Rays of images, from before and within, whose neighbours walk together."""
-    random = np.random.default_rng(0)
+    random = default_rng(0)
     base = pj.Mesh(*(x[:V] for x in soup(random, "scales")))
     met = 0
     for trial in range(2000 if exhaustive else 120):
@@ -111,7 +112,7 @@ def test_hits_in_soups_are_those_by_arrays(dtype, exhaustive):
     first(1, [(65, "float32"), *((n, "float64") for n in (0, 1, 3, 4, 5, 1280))]),
 )
 def test_faces_and_spheres_are_hit_as_by_arrays(faces, dtype):
-    random, whole = np.random.default_rng(1), shapes.bumpy(3)
+    random, whole = default_rng(1), shapes.bumpy(3)
     mesh = pj.Mesh(np.asarray(whole.vertices, dtype), np.asarray(whole.faces)[:faces])
     centers, radii = random.normal(size=(5, 3)), random.uniform(0.1, 0.3, 5)
     scene = pj.Scene(mesh=mesh, spheres=pj.Spheres(centers.astype(dtype), radii.astype(dtype)))
@@ -146,7 +147,7 @@ def test_equally_near_faces_are_the_first():
     """A wall that is there many times, in another order each."""
     corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0.0]])
     wall = pj.Mesh(corners, [[0, 1, 2], [0, 2, 3]] * 40)
-    random = np.random.default_rng(0)
+    random = default_rng(0)
     origin = jnp.asarray(random.uniform(-0.9, 0.9, (200, 3)) + np.array([0, 0, 3]))
     met = walked(pj.Scene(mesh=wall), origin, jnp.tile(jnp.array([0, 0, -1.0]), (200, 1)))
     assert {*np.asarray(met).tolist()} == {0, 1}
@@ -154,7 +155,7 @@ def test_equally_near_faces_are_the_first():
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300, 1e-300, 5e-324, 0.0])
 def test_hostile_numbers_end_in_answers(value):
-    random = np.random.default_rng(0)
+    random = default_rng(0)
     balls = pj.Spheres(random.normal(size=(40, 3)), np.full(40, 0.1))
     scene = pj.Scene(mesh=shapes.bumpy(2), spheres=balls)
     for share in (0.02, 1.0):
