@@ -169,7 +169,8 @@ def test_camera_without_a_resolution_names_what_is_missing():
 def test_traced_cameras_are_made_without_a_look_at_values():
     lens = pj.Lens([1, 1], distortion=pj.BrownConrady(0.05))
     known = pj.Camera(E, P, U, 0.5, 1.0, 2, 2, lens)
-    moves = jax.grad(lambda e: jnp.sum(known.replace(e=e).e ** 2))  # (phi and lens are not traced)
+    # (phi and lens are not traced.)
+    moves = jax.jit(jax.grad(lambda e: jnp.sum(known.replace(e=e).e ** 2)))
     assert moves(jnp.array(E)).tolist() == [0, 0, 10]
 
 

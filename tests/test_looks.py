@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from chosen import full
+from chosen import full, long
 from numpy.testing import assert_allclose
 from oracles import drawn
 from views import FREE, taken
@@ -43,13 +43,19 @@ def image_jacobian(view, camera, scene):
     return np.asarray(value), np.asarray(columns).reshape(-1, 7)
 
 
-@pytest.mark.parametrize("whole_window", [False, pytest.param(True, marks=pytest.mark.long)])
+@pytest.mark.parametrize("whole_window", [False, long(True)])
 @pytest.mark.parametrize(
     "given",
     [
         {"look_at": (-1.2, 0, 0), "lens": LENS},
-        {"spheres": True},
-        {"W": 60, "H": 50, "rough": 0.02},  # most pixels with several pieces are covered
+        {
+            "W": 60,
+            "H": 50,
+            "rough": 0.02,
+            "spheres": True,
+        },  # most pixels of many pieces are covered
+        full({"spheres": True}),
+        full({"W": 60, "H": 50, "rough": 0.02}),
         full({"W": 150}),
         full({"W": 150, "look_at": (-8, 0, 0)}),  # more film heights away than a 1 x 1 film has
         full({"look_at": (1.7, 0, 0)}),

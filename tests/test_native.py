@@ -1,7 +1,6 @@
 """The compiled library: the numbers of the array form, batches, hostile input, life without it."""
 
 import os
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -47,15 +46,22 @@ def test_coverage_and_derivatives_are_those_by_arrays(kind, bends):
 
 
 def test_batches_are_their_members():
-    """Of images and gradients, a batch of batches."""
-    eyes = EYE[None, None] + jnp.asarray(RANDOM.normal(size=(2, 2, 3))) * 0.1
-    image, weights = partial(drawn, scene=SCENES["both"]), jnp.asarray(RANDOM.normal(size=(18, 24)))
-    seen = lambda e: both_ways(image, e, jnp.ones(3), weights)
-    together, one = jax.jit(jax.vmap(jax.vmap(seen)))(eyes), jax.jit(seen)
-    for i, j in np.ndindex(2, 2):
-        for whole, own in zip(together, one(eyes[i, j]), strict=True):
-            # (Sums of hundreds of pixels, in an order that XLA chooses.)
-            assert_allclose(whole[i, j], own, rtol=1e-12, atol=1e-12)
+    """Of images and gradients by all that the library takes, a batch of batches."""
+    eyes, scene = EYE[None, None] + jnp.asarray(RANDOM.normal(size=(2, 2, 3))) * 0.1, SCENES["both"]
+    twice = lambda f: jax.jit(jax.vmap(jax.vmap(f)))
+    views = twice(lambda e: native.variables_of(film_map(camera(e)), scene))(eyes)
+    constants = [np.zeros(0), *native.scene_arrays(scene, float)[1:], np.int32([24, 18])]
+    constants, weights = [*map(jnp.asarray, constants)], jnp.asarray(RANDOM.normal(size=(18, 24)))
+
+    def seen(view):
+        image = lambda x: native._image((0, (18, 24)), x, constants)
+        return jax.tree.leaves(both_ways(image, view, jax.tree.map(jnp.ones_like, view), weights))
+
+    together, one = twice(seen)(views), jax.jit(seen)
+    for at in np.ndindex(2, 2):
+        alone = one(jax.tree.map(lambda x, at=at: x[at], views))
+        for whole, own in zip(together, alone, strict=True):
+            assert_allclose(whole[at], own, rtol=1e-12, atol=1e-12)
 
 
 def test_second_derivative_is_refused():

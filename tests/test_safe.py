@@ -17,7 +17,7 @@ from pinhole_jax._numerics.safe import dot, norm, normalize, safe_divide, safe_s
     ],
 )
 def test_singular_points_have_value_and_derivative_zero(function, at):
-    value, slope = jax.value_and_grad(function)(at)
+    value, slope = jax.jit(jax.value_and_grad(function))(at)
     assert (float(value), float(slope)) == (0, 0)
 
 
