@@ -8,7 +8,7 @@ Run it against a library built with sanitizers (`.ci/sanitized`), where a wrong 
 
 import argparse
 import time
-from typing import NamedTuple
+from collections import namedtuple
 
 import equinox as eqx
 import jax
@@ -66,29 +66,14 @@ class Random:
         return int(self.shapes.integers(least, least + self.shapes.choice([1, 2, 4, most])))
 
 
-class Arrays(NamedTuple):
+class Arrays(namedtuple("Arrays", "vertices faces edge_vertices edge_faces centers radii")):
     """A scene that nothing has checked: its mesh's arrays, and its spheres'."""
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    edge_vertices: np.ndarray
-    edge_faces: np.ndarray
-    centers: np.ndarray
-    radii: np.ndarray
 
     mesh = spheres = property(lambda self: self)
 
 
-class View(NamedTuple):
-    """A view's numbers, the lens's model, and the film's size."""
-
-    film: np.ndarray
-    lens: np.ndarray
-    trusted: np.ndarray
-    frames: np.ndarray
-    scene: Arrays
-    model: int
-    size: np.ndarray
+#: A view's numbers, its scene, the lens's model, and the film's size.
+View = namedtuple("View", "film lens trusted frames scene model size")
 
 
 def view_of(random):

@@ -22,10 +22,9 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Callable
+from collections import namedtuple
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -97,12 +96,8 @@ PICTURES = {
 }
 
 
-class Target(NamedTuple):
-    """A reader: the name of its file, how to read one, and valid ones."""
-
-    file: str
-    read: Callable[[Path], Any]
-    valid: list[bytes]
+#: A reader: the name of its file, how to read one, and valid ones.
+Target = namedtuple("Target", "file read valid")
 
 
 def targets(folder):

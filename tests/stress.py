@@ -7,8 +7,8 @@ float32, 2.2e-16 in float64). A case holds where it is below `LIMIT` of them.
 """
 
 import decimal
+from collections import namedtuple
 from decimal import Decimal
-from typing import NamedTuple
 
 import numpy as np
 import trimesh
@@ -23,21 +23,11 @@ Exact = np.longdouble
 decimal.getcontext().prec = 60
 
 
-class View(NamedTuple):
-    """A scene of triangles, and a camera."""
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    e: np.ndarray
-    p: np.ndarray
-    u: np.ndarray
-    phi: float
-    d: float
-    unit: float = 1.0  # epsilons that rounding a film point is worth, beside one of W x H
-    size: tuple[int, int] = (W, H)
-    radius: float = 0.0  # of a sphere about the first vertex, in place of the faces
-
-
+#: A scene of triangles, and a camera; epsilons that rounding a film point is worth, beside one of
+#: W x H; the film's size; the radius of a sphere about the first vertex, in place of the faces.
+View = namedtuple(
+    "View", "vertices faces e p u phi d unit size radius", defaults=(1.0, (W, H), 0.0)
+)
 SHAPES = [
     (np.asarray(shape.vertices), np.asarray(shape.faces))
     for shape in (

@@ -32,6 +32,9 @@ SAVES = {
 }
 
 
+on_linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
+
+
 # --- where is written ----------------------------------------------------------------------------
 
 
@@ -295,7 +298,7 @@ for path in sorted(folder.iterdir()):
 """
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
+@on_linux
 @pytest.mark.parametrize("endings", [list(BOMBS)[::2], list(BOMBS)[1::2]], ids=" ".join)
 def test_hostile_files_are_refused_soon_and_in_little_room(tmp_path, endings):
     """Of several endings in one process: to start it takes longer than to refuse them."""
@@ -366,7 +369,7 @@ print(most() - before)
 """
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
+@on_linux
 @pytest.mark.parametrize("way", [full("None"), long("background=white")])
 def test_large_picture_takes_ten_bytes_a_pixel(tmp_path, exhaustive, way):
     n = 6000 if exhaustive else 4000

@@ -10,7 +10,7 @@ import pytest
 from folders import put
 from numpy.testing import assert_array_equal
 from oracles import single
-from refusals import refusal
+from refusals import pairs, refusal
 from results import fit_at
 
 import pinhole_jax as pj
@@ -132,14 +132,14 @@ def test_missing_field_is_named(tmp_path, field):
         io.load_fit(path)
 
 
-@pytest.mark.parametrize(
+@pairs(
     "text, message",
-    [
-        (json.dumps(io.camera_to_dict(CAMERA)), "`fit`: expected the field .*, got no such field"),
-        ('{"fit": 3}', "`fit`: expected .*, got 3"),
-        ("[1]", r"expected a JSON object, got \[1\]"),
-        ("no JSON", "`path`: expected JSON, got"),
-    ],
+    {
+        json.dumps(io.camera_to_dict(CAMERA)): "`fit`: expected the field .*, got no such field",
+        '{"fit": 3}': "`fit`: expected .*, got 3",
+        "[1]": r"expected a JSON object, got \[1\]",
+        "no JSON": "`path`: expected JSON, got",
+    },
 )
 def test_other_files_are_no_fits(tmp_path, text, message):
     path = put(tmp_path, "camera.json", text)

@@ -301,10 +301,10 @@ class File:
         return mesh_of(tmp_path, name, self.bytes(binary=binary, **more))
 
 
-def square(**more):
-    """A file of one node and one square."""
+def one_node(points=SQUARE, indices=TWO):
+    """A file of one node, and a square or another mesh."""
     f = File()
-    f.node(mesh=f.mesh(f.primitive(SQUARE, TWO, **more)))
+    f.node(mesh=f.mesh(f.primitive(points, indices)))
     return f
 
 
@@ -320,8 +320,7 @@ def check_triangles(mesh, expected):
 
 @pytest.mark.parametrize("kind", ["u1", "u2", "u4"])
 def test_indexed_triangles(tmp_path, kind):
-    f = File()
-    f.node(mesh=f.mesh(f.primitive(SQUARE, TWO.astype(kind))))
+    f = one_node(indices=TWO.astype(kind))
     check_triangles(f.load(tmp_path, binary=kind == "u2"), SQUARE[TWO])
 
 
@@ -340,8 +339,7 @@ def test_strips_triangles_lines_and_points_in_one_mesh(tmp_path):
 def test_quantized_positions(tmp_path, kind):
     top = np.iinfo(kind).max
     points = np.array([[0, 0, 0], [top, 0, 0], [top, top, top // 2]], kind)
-    f = File()
-    f.node(mesh=f.mesh(f.primitive(points)))
+    f = one_node(points, None)
     f.top["extensionsRequired"] = ["KHR_mesh_quantization"]
     check_triangles(f.load(tmp_path), [points])
 
@@ -387,7 +385,7 @@ def test_nodes_place_by_matrix_and_by_parts_and_mirrors_turn_faces(tmp_path):
                                   "http://localhost/x", "link.bin", "a/../../secret.bin",
                                   "folder", "no.bin", "\0", "x" * 5000])  # fmt: skip
 def test_buffers_are_read_from_the_folder_only(tmp_path, kind):
-    f = square()
+    f = one_node()
     folder, secret = tmp_path / "meshes", put(tmp_path, "secret.bin", f.data)
     (folder / "folder").mkdir(parents=True)
     (folder / "link.bin").symlink_to(secret)
@@ -424,8 +422,7 @@ def bomb(levels):
 
 def many(count):
     """A file of 200 000 points, whose node is there many times."""
-    f = File()
-    f.node(mesh=f.mesh(f.primitive(np.tile(SQUARE, (50_000, 1)), np.tile(TWO, (5000, 1)))))
+    f = one_node(np.tile(SQUARE, (50_000, 1)), np.tile(TWO, (5000, 1)))
     f.top["nodes"] *= count
     f.top["scenes"][0]["nodes"] = [*range(count)]
     return f
@@ -480,7 +477,7 @@ CHANGES = {
 
 @pytest.mark.parametrize("change", CHANGES)
 def test_wrong_fields_of_a_gltf_file_are_named(tmp_path, change):
-    f, message = square(), CHANGES[change]
+    f, message = one_node(), CHANGES[change]
     path, _, value = change.partition(" = ")
     *parts, last = (int(x) if x.isdecimal() else x for x in path.split("."))
     part = f.top
@@ -498,8 +495,7 @@ def test_wrong_fields_of_a_gltf_file_are_named(tmp_path, change):
 
 
 def test_indices_beyond_the_vertices(tmp_path):
-    f = File()
-    f.node(mesh=f.mesh(f.primitive(SQUARE, np.array([0, 1, 4], "<u1"))))
+    f = one_node(indices=np.array([0, 1, 4], "<u1"))
     f.node(mesh=f.mesh(f.primitive(SQUARE, TWO)))  # all vertices together would be enough
     with refusal("expected faces with vertices 0 to 3, got 0 to 4"):
         f.load(tmp_path)
