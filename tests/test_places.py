@@ -41,7 +41,7 @@ def test_fits_that_once_lied_are_honest(number, shape, kind):
 
 
 @pytest.mark.parametrize(
-    ("number", "shape", "kind"),
+    "number, shape, kind",
     [
         (600250, "gear with keyway", "soft"),  # 16 degrees, 6 sigma
         (600717, "shoe", "grown"),  # 13 degrees, 11 sigma

@@ -1,3 +1,4 @@
+import re
 from xml.etree import ElementTree
 
 import jax.numpy as jnp
@@ -7,7 +8,16 @@ import shapely
 import trimesh
 from chosen import long
 from numpy.testing import assert_allclose
-from oracles import body, camera_ahead, lump, scene_polygons, usual_camera
+from oracles import (
+    body,
+    camera_ahead,
+    central_difference,
+    drawn,
+    lump,
+    normal,
+    scene_polygons,
+    usual_camera,
+)
 from refusals import refusal
 from results import fit_at
 
@@ -177,3 +187,98 @@ def test_scene_view_shows_object_and_camera(name):
     camera, thing = (np.nonzero(x)[1] for x in ((b > r + 60) & (b > g), (r > b + 20) & (r > g)))
     assert (len(camera) > 200) & (len(thing) > 100)
     assert camera.min() < thing.min()  # it looks from the left
+
+
+# --- where mask and camera differ -----------------------------------------------------------------
+
+
+def square_mask():
+    """SQUARE's hard mask as AHEAD sees it."""
+    return drawn(AHEAD, SQUARE) > 0.5
+
+
+def column_in(words):
+    return int(re.search(r"\(near column (\d+)", words)[1])
+
+
+def test_perfect_mask_gets_no_remark():
+    assert plot.disagreement(AHEAD, SQUARE, square_mask()) == ()
+    assert plot.disagreement(AHEAD, SQUARE, np.zeros((80, 96), bool)) == ()
+
+
+def test_cut_mask_is_located():
+    mask = square_mask()
+    first = np.flatnonzero(mask.any(axis=0))[0]
+    mask[:, : first + 10] = False
+    lost, added = plot.disagreement(AHEAD, SQUARE, mask)
+    assert "of the model's outline (near column" in lost
+    assert "is the mask cut off or covered there" in lost
+    assert abs(column_in(lost) - first) < 10
+    assert "of the mask's edge (near column" in added
+    assert abs(column_in(added) - first - 10) <= 1
+
+
+def test_object_cut_by_the_film_is_not_blamed_on_the_mask():
+    camera = AHEAD.replace(p=[AHEAD.p[0] + 1.2, *AHEAD.p[1:]])
+    mask = drawn(camera, SQUARE) > 0.5
+    (words,) = plot.disagreement(camera, SQUARE, mask)
+    assert words.startswith("the picture's border cuts off ")
+
+
+@pytest.mark.parametrize("extra", [True, False])
+def test_extra_and_missing_parts_are_told_apart(extra):
+    mask = square_mask()
+    rows, columns = np.nonzero(mask)
+    middle, last = round(np.mean(rows)), columns.max()
+    begin = last if extra else last - 12
+    mask[middle - 8 : middle + 8, begin : begin + 13] = extra
+    _, added = plot.disagreement(AHEAD, SQUARE, mask)
+    assert (column_in(added) > last) == extra
+
+
+# --- where a camera's error shows -----------------------------------------------------------------
+
+
+LUMP = lump(2)
+
+
+def test_roll_shows_by_the_distance_from_the_middle():
+    trust = plot.trust(fit_at(AHEAD, np.array([[1e-6]]), ("rotation_v",)), LUMP)
+    radius = np.linalg.norm(trust.places - [48, 40], axis=1)
+    assert_allclose(trust.film, 1e-3 * radius, rtol=1e-4)
+    vertices = np.asarray(LUMP.mesh.vertices)
+    assert trust.object == pytest.approx(1e-3 * np.hypot(*vertices[:, :2].T).max(), rel=1e-4)
+    assert_allclose(trust.point, vertices[np.hypot(*vertices[:, :2].T).argmax()])
+
+
+def test_shift_shows_alike_at_one_depth():
+    trust = plot.trust(fit_at(AHEAD, np.array([[1e-4]]), ("e_x",)), LUMP)
+    depth = 5 - np.asarray(LUMP.mesh.vertices)[:, 2].mean()
+    px = 0.01 * 40 / np.tan(0.3) / depth
+    assert_allclose(trust.film, px, rtol=1e-4)
+    assert trust.object == pytest.approx(0.01, rel=1e-4)
+
+
+def test_errors_together_equal_those_of_differences():
+    mix = 1e-3 * normal((7, 7))
+    fit = fit_at(AHEAD, mix @ mix.T)
+    trust = plot.trust(fit, LUMP)
+
+    def place(step):
+        camera = fit.displaced(step)
+        return np.stack(pj.camera_basis(camera)) @ (trust.point - np.asarray(camera.e))
+
+    spread = np.linalg.norm(central_difference(place, np.zeros(7)) @ mix, ord=2)
+    assert trust.object == pytest.approx(spread, rel=1e-4)
+
+
+def test_picture_names_its_bands_and_stays_with_what_is_determined():
+    lost = np.diag([np.inf, 1e-6])
+    trust = plot.trust(fit_at(AHEAD, lost, ("rotation_b1", "rotation_v")), LUMP)
+    assert np.all(np.isfinite(trust.film))
+    bands = [float(x) for x in re.findall(r">&lt; ([\d.e-]+) px</text>", trust._repr_svg_())]
+    assert bands == sorted(bands)
+    assert bands[-1] >= trust.film.max()
+    assert "units of the mesh" in str(trust)
+    nothing = plot.trust(fit_at(AHEAD, np.array([[np.inf]]), ("rotation_b1",)), LUMP)
+    assert nothing.object == 0
