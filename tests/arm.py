@@ -51,15 +51,6 @@ def apart(a, b):
     return float(np.rad2deg(angle)), float(shift)
 
 
-@cache
-def stereo():
-    return [
-        pj.JointView(scene, drawn(camera, scene), camera=name)
-        for scene in scenes()[:2]
-        for name, camera in (("left", TRUTH), ("right", RIGHT))
-    ]
-
-
 def grown(times):
     return np.diag([times, times, times, 1.0])
 

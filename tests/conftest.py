@@ -145,4 +145,4 @@ def _of_the_arm(name):
     )
 
 
-arm, noisy, scenes, stereo, views = map(_of_the_arm, ("arm", "noisy", "scenes", "stereo", "views"))
+arm, noisy, scenes, views = map(_of_the_arm, ("arm", "noisy", "scenes", "views"))

@@ -19,6 +19,10 @@ sys.path.append(str(Path(__file__).parents[1] / "experiments" / "reference"))
 import _oracle
 from _scenes import View
 
+#: The corners of a square in z = 0, and its triangles.
+CORNERS = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+QUAD = [[0, 1, 2], [0, 2, 3]]
+
 
 def view_of(camera, scene):
     """Return the plain numbers of a camera and what it sees, in float64, whatever their type."""

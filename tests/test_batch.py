@@ -594,7 +594,7 @@ def test_script_without_main_guard_is_refused(tmp_path):
 
 
 @pytest.mark.long
-def test_worker_processes_and_a_cluster_make_the_same_rows(folder, records, rows, tmp_path):
+def test_worker_processes_and_a_cluster_make_the_same_rows(folder, rows, tmp_path):
     """(By the compiler as users have it: rows of this process have other last digits.)"""
     path = tmp_path / "script.py"
     path.write_text(

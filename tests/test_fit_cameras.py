@@ -14,6 +14,7 @@ from oracles import body, drawn, lump, normal, turned
 from refusals import refusal, refuses
 from results import degrees
 from scipy.spatial.transform import Rotation
+from test_alike import can, handle
 
 import pinhole_jax as pj
 
@@ -68,14 +69,7 @@ BOX = body(trimesh.creation.box((1.2, 1.32, 1.05)))
 OF_BOX = seen_from([(3.0, -3.0, 2.5), (-2.0, 3.5, 2.0), (1.0, 4.0, -2.5)])
 
 
-def mug():
-    handle = trimesh.creation.torus(0.35, 0.08, major_sections=12, minor_sections=8)
-    handle.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
-    handle.apply_translation([0.85, 0, 0])
-    cup = trimesh.creation.cylinder(radius=0.8, height=2, sections=24)
-    return body(cup + handle)
-
-
+MUG = body(can(24) + handle(0.85, major_sections=12, minor_sections=8))
 OF_MUG = seen_from([(-4.8, 0.3, 1.5), (0.5, -4.9, 1.2)])
 
 
@@ -103,15 +97,14 @@ def test_start_rules_out_distant_cameras():
 
 @pytest.mark.long
 def test_hidden_handle_leaves_the_rotation_of_its_view_free():
-    scene = mug()
-    masks = [m > 0.5 for m in images(OF_MUG, scene)]
-    hidden, shown = pj.fit_cameras(scene, masks, [turned(c, 4) for c in OF_MUG])
+    masks = [m > 0.5 for m in images(OF_MUG, MUG)]
+    hidden, shown = pj.fit_cameras(MUG, masks, [turned(c, 4) for c in OF_MUG])
     assert hidden.status == "rank_deficient"
     assert "rotation about the axis (0.00, 0.00, 1.00)" in hidden.weak[0]
     assert np.all(np.isinf(hidden.std[:3]) | (hidden.std[:3] > np.deg2rad(5)))
     assert shown.status == "converged"
     assert degrees(shown, OF_MUG[1]) < 1
-    for fit in pj.fit_cameras(scene, masks, None, phi=0.6):
+    for fit in pj.fit_cameras(MUG, masks, None, phi=0.6):
         assert fit.status in ("rank_deficient", "ambiguous")
 
 

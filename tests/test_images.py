@@ -10,7 +10,7 @@ import pytest
 import trimesh
 from chosen import first
 from numpy.testing import assert_allclose, assert_array_equal
-from oracles import body, central_difference, usual_camera
+from oracles import CORNERS, QUAD, body, central_difference, usual_camera
 from PIL import Image
 
 import pinhole_jax as pj
@@ -18,8 +18,7 @@ from pinhole_jax import formats, shapes
 
 W, H = 16, 12
 CAMERA = usual_camera(W, H).replace(d=1.3)
-WALL = np.array([[-9.0, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]])
-FACES = np.array([[0, 1, 2], [0, 2, 3]])
+WALL, FACES = 9 * CORNERS, np.array(QUAD)
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
-from arm import RIG, RIGHT, SIZE, START, TRUTH, apart, grown, posture
+from arm import BOTH_EYES, RIG, SIZE, START, TRUTH, apart, grown, posture
 from oracles import drawn
 
 import pinhole_jax as pj
@@ -22,7 +22,7 @@ def test_size_of_one_body_among_several_is_found(arm):
     views = [
         pj.JointView(p.scene(), drawn(camera, p.scene([0.05])), name, posture=p)
         for p in postures
-        for name, camera in (("left", TRUTH), ("right", RIGHT))
+        for name, camera in BOTH_EYES.items()
     ]
     right = at_pose(TRUTH, pose_of(START) @ RIG["right"])
     fit = pj.fit_joint(views, {"left": START, "right": right}, rig=RIG, joint_zeros={"bar": 0.1})

@@ -318,7 +318,7 @@ def test_closed_pipe_is_silent():
         ("inverted.png --invert", "dot.png", ""),
     ],
 )
-def test_mask_is_fitted_as_the_options_say(here, fitted, capsys, words, expected, said):
+def test_mask_is_fitted_as_the_options_say(fitted, capsys, words, expected, said):
     with Image.open("dot.png") as dot:
         dot.putpixel((2, 2), 255)
         dot.save("crumbs.png")
@@ -344,7 +344,7 @@ def test_help_shows_camera_files_that_can_be_read(capsys):
 
 
 @pytest.mark.parametrize("status", STATUSES)
-def test_converged_fit_alone_exits_with_0(here, fitted, status, monkeypatch, capsys):
+def test_converged_fit_alone_exits_with_0(fitted, status, monkeypatch, capsys):
     fit = fitted[0]._replace(status=status)
     if status == "non_finite":
         fit = fit._replace(rms=np.nan, iou=np.nan)
@@ -569,7 +569,7 @@ def test_output_that_cannot_be_written_is_found_before_the_fit(here, monkeypatch
     assert not (here / "new").exists()
 
 
-def test_fit_is_printed_where_it_cannot_be_written(here, fitted, monkeypatch, capsys):
+def test_fit_is_printed_where_it_cannot_be_written(fitted, monkeypatch, capsys):
     words = "fit bumpy.ply mask.png --fov 34 -o full"
     main(words)
     assert "(replaced" not in capsys.readouterr().out

@@ -13,6 +13,7 @@ import pytest
 import shapely
 from folders import put
 from numpy.testing import assert_allclose, assert_array_equal
+from oracles import QUAD
 from refusals import refusal
 from scipy.spatial.transform import Rotation
 from test_polygons import SHAPES, covered
@@ -247,7 +248,7 @@ def test_no_file_that_an_obj_names_is_opened(tmp_path, monkeypatch):
 
 KINDS = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], "<f4")
-TWO = np.array([[0, 1, 2], [0, 2, 3]], "<u2")
+TWO = np.array(QUAD, "<u2")
 
 
 class File:

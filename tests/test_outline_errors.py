@@ -8,7 +8,7 @@ from intervals import error
 from masks import wavy
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from oracles import body, drawn, lump, single, turned, usual_camera
+from oracles import CORNERS, QUAD, body, drawn, lump, single, turned, usual_camera
 from results import degrees
 
 import pinhole_jax as pj
@@ -38,10 +38,7 @@ def test_rendered_binary_mask_has_quantisation_errors_alone():
 def test_errors_of_one_bit_are_alike_along_rows_and_cancel_across(roll):
     """Gradients at the truth, of a plate that lies anywhere among the pixels: their covariance in
     units of that of independent pixels, in the best-seen and the other directions."""
-    plate = pj.Mesh(
-        [[-1, -0.7, 0], [1, -0.7, 0], [1, 0.7, 0], [-1, 0.7, 0]], [[0, 1, 2], [0, 2, 3]]
-    )
-    scene, random = single(pj.Scene(mesh=plate)), default_rng(0)
+    scene, random = single(body(CORNERS * [1, 0.7, 1], QUAD)), default_rng(0)
     up = [np.sin(np.deg2rad(roll)), np.cos(np.deg2rad(roll)), 0]
     views = []
     for x, y, z in random.uniform(-1, 1, (60, 3)) * [0.05, 0.05, 0.1]:

@@ -9,6 +9,8 @@ import trimesh
 from chosen import long
 from numpy.testing import assert_allclose
 from oracles import (
+    CORNERS,
+    QUAD,
     body,
     camera_ahead,
     central_difference,
@@ -78,7 +80,7 @@ def test_overlay_draws_on_the_outline_and_nowhere_else(shape):
 
 
 # A square in the plane z = 0, seen from straight ahead at distance 5: f = 80 / (2 tan 0.3) px.
-SQUARE = body([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], [[0, 1, 2], [0, 2, 3]])
+SQUARE = body(CORNERS, QUAD)
 AHEAD = camera_ahead()
 FOCAL = 40 / np.tan(0.3)
 

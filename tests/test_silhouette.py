@@ -15,6 +15,7 @@ from chosen import first, full, long
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from oracles import (
+    QUAD,
     body,
     camera_ahead,
     coverage,
@@ -236,7 +237,7 @@ def test_polygons_have_their_exact_area_in_each_pixel():
     middle, phi = np.array([w / 2, h / 2, 0]), 2 * np.arctan(h / 8)
     camera = pj.Camera(middle + np.array([0, 0, 4]), middle, [0, 1, 0], phi, W=w, H=h)
     for size, corners in quadrilaterals(w, h, 60):
-        mesh = pj.Mesh(np.pad(corners, ((0, 0), (0, 1))), [[0, 1, 2], [0, 2, 3]])
+        mesh = pj.Mesh(np.pad(corners, ((0, 0), (0, 1))), QUAD)
         expected = union_per_pixel([shapely.Polygon(corners)], w, h)
         image = pj.silhouette(camera, pj.Scene(mesh=mesh))
         assert_allclose(image, expected, atol=1e-9 if size > 10 else 1e-13)

@@ -422,7 +422,7 @@ def test_field_of_view_that_nobody_gives_is_free_and_named(workpiece, bench, tmp
 
 @pytest.mark.long
 @pytest.mark.parametrize("way", ["guess", "slider", "session", "earlier fit"])
-def test_fit_that_holds_an_assumed_field_of_view_is_not_converged(unsaid, tmp_path, way):
+def test_fit_that_holds_an_assumed_field_of_view_is_not_converged(unsaid, way):
     words = "field of view assumed: 40.1 degrees"
     if way == "slider":
         do(unsaid, "lens", phi_degrees=36.0)

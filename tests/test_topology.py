@@ -6,7 +6,7 @@ import trimesh
 from folders import in_trimesh
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
-from oracles import filled, mesh_coverage, usual_camera
+from oracles import CORNERS, QUAD, filled, mesh_coverage, usual_camera
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
@@ -43,13 +43,12 @@ def with_slivers():
 
 def square_with_slivers():
     """A square whose four sides carry a row of them, some of two corners at one place."""
-    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
-    middles = (corners + np.roll(corners, -1, axis=0)) / 2
+    middles = (CORNERS + np.roll(CORNERS, -1, axis=0)) / 2
     k = np.arange(4)
     halves, quarters = (k, 4 + k, (k + 1) % 4), (k, 8 + k, 4 + k)
     flat = [np.stack(halves, 1), np.stack(quarters, 1), [[0, 12, 8]]]
-    vertices = np.concatenate([corners, middles, (corners + middles) / 2, corners[:1]])
-    return vertices, np.concatenate([[[0, 1, 2], [0, 2, 3]], *flat])
+    vertices = np.concatenate([CORNERS, middles, (CORNERS + middles) / 2, CORNERS[:1]])
+    return vertices, np.concatenate([QUAD, *flat])
 
 
 def strip():

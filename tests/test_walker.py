@@ -10,7 +10,7 @@ import pytest
 from chosen import first
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
-from oracles import body, lump, random_rays
+from oracles import CORNERS, QUAD, body, lump, random_rays
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
@@ -145,8 +145,7 @@ def test_batches_are_their_members():
 
 def test_equally_near_faces_are_the_first():
     """A wall that is there many times, in another order each."""
-    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0.0]])
-    wall = pj.Mesh(corners, [[0, 1, 2], [0, 2, 3]] * 40)
+    wall = pj.Mesh(CORNERS, QUAD * 40)
     random = default_rng(0)
     origin = jnp.asarray(random.uniform(-0.9, 0.9, (200, 3)) + np.array([0, 0, 3]))
     met = walked(pj.Scene(mesh=wall), origin, jnp.tile(jnp.array([0, 0, -1.0]), (200, 1)))
