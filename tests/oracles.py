@@ -142,6 +142,17 @@ def filled(vertices, faces, room):
     return eqx.tree_at(edges, mesh, tuple(map(fill, edges(mesh))))
 
 
+def camera_anywhere(seed, W=96, H=80):
+    """Return a camera 5 from the origin, which it looks at, turned at random."""
+    axes = Rotation.random(random_state=seed).as_matrix()
+    return pj.Camera(-5 * axes[2], np.zeros(3), axes[1], 0.6, 1.0, W, H)
+
+
+def off(camera, other):
+    """Return the angle (rad) or the shift between two cameras, whichever is the larger number."""
+    return max(map(float, pj.pose_error(camera, other)))
+
+
 def random_camera(random, W, H):
     eye = random.normal(size=3)
     eye *= 5 / np.linalg.norm(eye)

@@ -10,10 +10,9 @@ from arm import check_slope
 from chosen import full
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
-from oracles import body, drawn, lump, normal, turned
+from oracles import body, camera_anywhere, drawn, lump, normal, turned
 from refusals import refusal, refuses
 from results import degrees
-from scipy.spatial.transform import Rotation
 from test_alike import can, handle
 
 import pinhole_jax as pj
@@ -21,13 +20,7 @@ import pinhole_jax as pj
 SCENE = lump(3)
 
 
-def truth(seed):
-    axes = Rotation.random(random_state=seed).as_matrix()
-    e = -5 * axes[2]
-    return pj.Camera(e, e + 5 * axes[2], axes[1], 0.6, 1.0, 96, 80)
-
-
-TRUTHS = [truth(k) for k in range(3)]
+TRUTHS = [camera_anywhere(k) for k in range(3)]
 STARTS = [turned(c, 5, 1.03, 1.04) for c in TRUTHS]
 
 

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 import trimesh
 from chosen import first, full
-from oracles import body, drawn, lump, single, turned, usual_camera
+from oracles import body, camera_anywhere, drawn, lump, single, turned, usual_camera
 from results import degrees
-from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
 from pinhole_jax import plot, report
@@ -25,11 +24,6 @@ COLUMNS = np.arange(96) + 0.5
 
 
 SCENE = lump(3)
-
-
-def anywhere(seed):
-    axes = Rotation.random(random_state=seed).as_matrix()
-    return pj.Camera(-5 * axes[2], np.zeros(3), axes[1], 0.6, 1.0, 96, 80)
 
 
 def behind_a_wall(truth, scene, share):
@@ -68,7 +62,7 @@ def check(fit, truth, wall, scene, seen):
 
 
 def test_visible_edge_is_enough_from_a_start():
-    truth = anywhere(0)
+    truth = camera_anywhere(0)
     seen, wall = behind_a_wall(truth, SCENE, 0.3)
     start = turned(truth, 10)
     fit = pj.fit_camera(SCENE, seen, start)

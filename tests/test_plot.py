@@ -1,7 +1,6 @@
 import re
 from xml.etree import ElementTree
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
@@ -55,7 +54,7 @@ def test_outline_under_distortion_passes_through_contour_points(name):
     distortion = pj.BrownConrady(-0.3, 0.1, 2e-3, 1e-3, 0.02)
     bent = CAMERA.replace(lens=pj.Lens([46.0, 41.0], 1.02, distortion))
     outline, plain = (plot.outline(view, scene) for view in (bent, CAMERA.replace(lens=lens)))
-    seen = np.asarray(pj.project(bent, jnp.asarray(pj.contour_points(bent, scene))))
+    seen = np.asarray(pj.project(bent, pj.contour_points(bent, scene)))
     middles = lambda lines: shapely.points(lines.mean(axis=1))
     off = shapely.distance(middles(outline), shapely.multipoints(seen))
     assert np.max(off) < STEP_PX / 2 + 0.05  # between two of the points
