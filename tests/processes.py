@@ -11,7 +11,7 @@ def python(*words, **more):
 
 
 def printed(*words, **more):
-    """Return what it prints, and assert that it ends well."""
+    """Return its output, and assert that it ends well."""
     done = python(*words, **more)
     assert done.returncode == 0, done.stderr
     return done.stdout

@@ -65,7 +65,7 @@ BENT = TRUTH.replace(lens=pj.Lens([48, 48], distortion=pj.Fisheye()))
 
 
 def joint(views=({},), cameras=TRUTH, **more):
-    """Fit views of the arm, of which these fields are changed."""
+    """Fit views of the arm, these fields of them changed."""
     changed = [view._replace(**change) for view, change in zip(arm_views(), views, strict=False)]
     return pj.fit_joint(changed, cameras, **more)
 
