@@ -5,6 +5,7 @@ import re
 from xml.etree import ElementTree
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from oracles import usual_camera
@@ -98,7 +99,7 @@ def test_words_are_escaped():
 
 
 def test_batched_and_traced_cameras_are_shown_as_text():
-    views = jax.tree.map(lambda *x: np.stack(x), CAMERA, CAMERA)
+    views = jax.tree.map(lambda *x: jnp.stack(x), CAMERA, CAMERA)
     assert views._repr_html_() is None
     shown = []
     jax.jit(lambda camera: shown.append(camera._repr_html_()) or camera.phi)(CAMERA)
@@ -109,7 +110,7 @@ def test_batched_and_traced_cameras_are_shown_as_text():
 
 
 def test_fit_that_is_not_finite_is_shown():
-    nan = jax.tree.map(lambda x: np.full_like(x, np.nan), CAMERA)
+    nan = jax.tree.map(lambda x: jnp.full_like(x, jnp.nan), CAMERA)
     text = a_fit("non_finite", std=(np.nan,) * 3)._replace(camera=nan)._repr_html_()
     assert "svg" not in text
     assert "non_finite" in text
