@@ -4,6 +4,7 @@ import json
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from folders import put
@@ -87,7 +88,7 @@ def test_fit_file_is_strict_json_and_a_camera_file(tmp_path):
 
 
 def test_fit_that_is_not_finite_is_not_written(tmp_path):
-    camera = eqx.tree_at(lambda c: c.phi, CAMERA, np.array(np.nan))
+    camera = eqx.tree_at(lambda c: c.phi, CAMERA, jnp.asarray(np.nan))
     with refusal("expected what JSON can hold"):
         io.save_fit(tmp_path / "x.json", fit_of(camera))
     assert not list(tmp_path.iterdir())
