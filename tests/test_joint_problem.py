@@ -78,9 +78,11 @@ test_wrong_arguments_are_named = refuses(
         "`cameras`: expected left among them, got camera": {"views": [{"camera": "left"}]},
         "`cameras`: expected names that a view uses, got other": {"cameras": BOTH},
         "`objects`: expected part among them, got none": {"views": [{"object": "part"}]},
-        r"`views\[0\].mount`: expected a real array of shape \(4, 4\)": {"views": [{"mount": np.eye(3)}]},
+        r"`views\[0\].mount`: expected a real array of shape \(4, 4\)": {
+            "views": [{"mount": np.eye(3)}]
+        },
         r"`views\[0\].placed`: expected a rotation and a": {"views": [{"placed": 2 * HERE}]},
-        r"`rig\['left'\]`: expected a matrix": {"rig": {"left": "here"}},
+        r"`rig\['left'\]`: expected a real array": {"rig": {"left": "here"}},
         r"`views\[0\]`: `target`: expected the camera's": {"views": [{"target": np.ones((2, 3))}]},
         "`free`: expected something to fit, got none": {"free": ()},
         "`search`: expected one unknown pose": {"free": "phi", "search": True},
