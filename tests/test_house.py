@@ -173,7 +173,6 @@ KNOWN_FAULTS = {
     "pinhole_jax/_files/cache.py: jax.config",
     "pinhole_jax/_files/process.py: jax.config",
     "pinhole_jax: Images twice",
-    "pinhole_jax: Outline twice",
 }
 
 

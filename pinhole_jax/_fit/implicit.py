@@ -199,9 +199,9 @@ def _transformed(camera: Camera, by: Array, scale: Any = 1.0) -> Camera:
     return eqx.tree_at(lambda c: (c.e, c.p, c.u), camera, values)
 
 
-class Inputs(NamedTuple):
-    """What a view is fitted to: a scene, a mask and its weights, the pose of what carries the
-    camera, and the scene's on the object (None: none). Or how fast these change (None: not)."""
+class ViewInputs(NamedTuple):
+    """What a view is fitted to: a scene, a mask and its weights, the pose of the camera's carrier,
+    and the scene's on the object (None: none). Or how fast these change (None: not)."""
 
     scene: Any
     target: Any
@@ -210,7 +210,7 @@ class Inputs(NamedTuple):
     placed: Any = None
 
 
-def _image(y: Array, vantage: Vantage, given: Inputs) -> Array:
+def _image(y: Array, vantage: Vantage, given: ViewInputs) -> Array:
     camera, place, scale = vantage.moved(y)
     mount, placed = (_as_pose(x, y) for x in (given.mount, given.placed))
     by = jnp.linalg.inv(place @ placed) @ mount
@@ -218,14 +218,18 @@ def _image(y: Array, vantage: Vantage, given: Inputs) -> Array:
 
 
 @eqx.filter_jit
-def _image_and_jacobian(y: Any, vantage: Vantage, given: Inputs) -> tuple[Array, Array]:
+def _image_and_jacobian(y: Any, vantage: Vantage, given: ViewInputs) -> tuple[Array, Array]:
     both = lambda y: (lambda x: (x, x))(_image(y, vantage, given))
     jacobian, value = jax.jacfwd(both, has_aux=True)(y)
     return value, jacobian
 
 
 def slope_of(
-    vantage: Vantage, given: Inputs, counted: np.ndarray, velocity: Inputs, columns: np.ndarray
+    vantage: Vantage,
+    given: ViewInputs,
+    counted: np.ndarray,
+    velocity: ViewInputs,
+    columns: np.ndarray,
 ) -> Slope:
     """The slope of a view whose pixels `counted` so much (H, W) where its fit ended, while what it
     was given changes."""
@@ -269,16 +273,16 @@ def _looks(jacobian: np.ndarray, is_met: bool) -> tuple[np.ndarray, ...]:
 def _derivatives(
     looks: Any,
     vantage: Vantage,
-    moving: Inputs,
-    fixed: Inputs,
+    moving: ViewInputs,
+    fixed: ViewInputs,
     jacobian: Any,
     weight: Any,
     difference: Any,
-) -> tuple[Array, Inputs]:
+) -> tuple[Array, ViewInputs]:
     """Sums over each row's looks (n, k): the derivatives, by moves and by what is moving, of the
     image's product with columns of the jacobian, and with what is left, both weighed."""
 
-    def derivative(look: Any) -> tuple[Array, Inputs]:
+    def derivative(look: Any) -> tuple[Array, ViewInputs]:
         at, along, of_residual = look
         image = lambda y, moving: _image(y, vantage, eqx.combine(moving, fixed))
         held = weight * (jacobian @ along + of_residual * difference)
@@ -289,7 +293,7 @@ def _derivatives(
 
 
 @eqx.filter_jit
-def _along(derivative: Inputs, velocity: Inputs, still: Any) -> Array:
+def _along(derivative: ViewInputs, velocity: ViewInputs, still: Any) -> Array:
     """A derivative (n, ...) by inputs, times their velocity: moves of a type."""
     pairs = zip(jax.tree.leaves(derivative), jax.tree.leaves(velocity), strict=True)
     moves = (jnp.tensordot(by, v.astype(by.dtype), v.ndim).astype(still.dtype) for by, v in pairs)
@@ -313,5 +317,5 @@ def camera_velocity(
     these weights (H, W) decided."""
     vantage = Vantage(canonical(camera), camera, pose_of(camera), freed)
     columns = np.arange(len(vantage.still))
-    slope = slope_of(vantage, Inputs(*inputs), weight, Inputs(*velocity), columns)
+    slope = slope_of(vantage, ViewInputs(*inputs), weight, ViewInputs(*velocity), columns)
     return velocity_of(vantage, *steps_of([slope]))[0]

@@ -289,8 +289,7 @@ def report(
 ) -> Fit:
     """The fit that a user reads."""
     at, view, steps, way, _ = found
-    fitted = on_film(at, camera)
-    dtype = np.dtype(camera.e.dtype)
+    fitted, dtype = on_film(at, camera), np.dtype(camera.e.dtype)
     triangle, ended = without_ended(view.triangle, at, freed, context.bounds)
     along = np.asarray(view.along, float)
     sums: Any = jax.tree.map(float, view.sums)

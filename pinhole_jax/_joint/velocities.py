@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from .._camera.poses import at_pose
-from .._fit.implicit import OBJECT, Inputs, Vantage, slope_of, steps_of, velocity_of
+from .._fit.implicit import OBJECT, ViewInputs, Vantage, slope_of, steps_of, velocity_of
 from .agreement import Agreement
 from .joint_fit import JointFit
 from .system import JointProblem
@@ -33,7 +33,7 @@ def velocity(
         weights = problem.eyes[k].solver.weights
         weight = weights if isinstance(weights, np.ndarray) else weights.image()
         given, rates = (
-            Inputs(*(getattr(x, name) for name in Inputs._fields)) for x in (view, change)
+            ViewInputs(*(getattr(x, name) for name in ViewInputs._fields)) for x in (view, change)
         )
         counted = float(problem.weights[k]) * weight
         slopes.append(slope_of(vantages[k], given, counted, rates, problem.columns(k)))

@@ -37,7 +37,7 @@ def covariance(
 
 
 def shown(triangle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return how much each direction of moves shows, the best-seen one first; its share of that;
+    """How much each direction of moves shows, the best-seen one first; its share of that;
     and the directions (n, n)."""
     _, values, directions = np.linalg.svd(triangle)
     return values, values / max(values[0], np.finfo(values.dtype).tiny), directions
