@@ -257,8 +257,8 @@ def slope_of(
 
 
 def _looks(jacobian: np.ndarray, is_met: bool) -> tuple[np.ndarray, ...]:
-    """The looks that make each row of second derivatives: its own column of the jacobian, and of
-    what is left, unless the target is met, the difference of two, a step ahead and behind."""
+    """The looks that make each row of second derivatives: its own column of the jacobian, and
+    unless the target is met the difference of the residuals' two, a step ahead and behind."""
     n, dtype = jacobian.shape[-1], jacobian.dtype
     touched = max(int(np.sum(np.any(jacobian != 0, axis=-1))), 1)
     size = np.sqrt(np.sum(jacobian.astype(float) ** 2, axis=(0, 1)) / touched)

@@ -107,7 +107,7 @@ class Agreement:
         """
         if self.excess <= 1 or not self.problem.widens:
             return 1.0
-        return (self.excess * width_by_few(self.freedom)) ** 2
+        return (self.excess * width_by_few(1.0 * self.freedom)) ** 2
 
     def reports(self, parts: Sequence[Part]) -> tuple[np.ndarray, np.ndarray]:
         """The derivative of numbers that report unknowns, as `JointProblem` has it."""
