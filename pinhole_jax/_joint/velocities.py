@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from .._camera.poses import at_pose
-from .._fit.implicit import OBJECT, ViewInputs, Vantage, slope_of, steps_of, velocity_of
+from .._fit.implicit import OBJECT, Vantage, ViewInputs, slope_of, steps_of, velocity_of
 from .agreement import Agreement
 from .joint_fit import JointFit
 from .system import JointProblem
