@@ -76,6 +76,12 @@ def test_targets_may_be_bool_uint8_or_float():
         assert degrees(fit, CAMERA) < worst
 
 
+def test_focal_length_alone_is_found():
+    fit = pj.fit_camera(SCENE, EXACT, CAMERA.replace(phi=1.1 * CAMERA.phi), "phi")
+    assert fit.status == "converged"
+    assert_allclose(fit.camera.phi, CAMERA.phi, rtol=1e-6)
+
+
 @pytest.mark.long
 def test_object_out_of_sight_or_all_over_the_film_is_no_success():
     behind = CAMERA.replace(p=CAMERA.e + np.array([0.0, 0, 4]))

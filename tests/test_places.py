@@ -50,7 +50,7 @@ def test_fits_that_once_lied_are_honest(number, shape, kind):
 def test_outline_that_is_all_too_far_out_tilts_no_camera(number, shape, kind):
     """Flat bodies, whose outlines are 2 to 4 px out: descents come to rest far off."""
     row = honesty.wrong_trial(number, shape, kind)
-    assert row["degrees"] < min(2, 3 * row["sigma"]), row
+    assert row["degrees"] < min(4, 3 * row["sigma"]), row
 
 
 def test_error_bar_reaches_over_a_shelf():

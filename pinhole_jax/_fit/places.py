@@ -224,7 +224,8 @@ def shelf(solver: Solver, found: Solution) -> tuple[np.ndarray, float]:
         fitted = np.linalg.qr(rows)[0].T @ along
         return view.squares - float(fitted @ fitted) - found.view.squares
 
-    if not far < np.pi * _radian(solver, found):
+    turns = any(name.startswith(("turn", "spin")) for name in components(solver.freed))
+    if not (turns and far < np.pi * _radian(solver, found)):
         return move, 1.0
     return move, float(np.clip(min(left(far), left(-far)) / foretold, RULES.times**-2, 1.0))
 
