@@ -424,7 +424,7 @@ def fits(step: Step) -> None:
         "the second fit, a camera of OpenCV's",
         fit("mask.png", "--camera", "start.yaml"),
         0,
-        "(replaced out/camera.json",
+        "out/camera.json (replaced)",
     )
     step.script("a fit's file, its pose and covariance", RESULT)
     network = fit("network.png", "--K", "ros.yaml")
