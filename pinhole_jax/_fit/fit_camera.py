@@ -375,7 +375,7 @@ def _fit_of(
         astray = None if said is None or edge is None else said.astray(edge)
         hidden = said is not None and bool(np.any(said.gross))
         known = mode.covariance, None if free else mode.shelf
-        context = Context(kind, settings.bounds, about, mode.errors, None, astray, hidden, *known)
+        context = Context(kind, settings.bounds, about, mode.errors, astray, hidden, *known)
         return report(mask.camera, mode.found, mode.over_all, freed, context)
 
     said, note = None, None

@@ -207,13 +207,20 @@ def _radian(solver: Solver, found: Solution) -> float:
     return float(np.clip(solver.subject.ball.radius / reach, 1e-3, 1) / size)
 
 
-def shelf(solver: Solver, found: Solution) -> tuple[np.ndarray, float]:
+def shelf(solver: Solver, found: Solution) -> tuple[np.ndarray, float] | None:
     """The move (n,) that shows least, and the share left of the squares that the Jacobian foretells
-    four standard errors along it: on the flatter side, with all else fitted."""
-    _, values, moves = np.linalg.svd(np.asarray(found.view.triangle, float))
+    four standard errors along it: on the flatter side, with all else fitted. None where no turn is
+    free, or errors reach half round."""
+    triangle = np.asarray(found.view.triangle, float)
+    turns = any(name.startswith(("turn", "spin")) for name in components(solver.freed))
+    if not (turns and np.all(np.isfinite(triangle))):
+        return None
+    _, values, moves = np.linalg.svd(triangle)
     others, move = moves[:-1], moves[-1]
     foretold = RULES.times**2 * residual_variance(solver, found.view)
     far = foretold**0.5 / max(values[-1], 1e-300)
+    if not far < np.pi * _radian(solver, found):
+        return None
 
     def left(stride: float) -> float:
         """The squares more than those of the camera found."""
@@ -224,9 +231,6 @@ def shelf(solver: Solver, found: Solution) -> tuple[np.ndarray, float]:
         fitted = np.linalg.qr(rows)[0].T @ along
         return view.squares - float(fitted @ fitted) - found.view.squares
 
-    turns = any(name.startswith(("turn", "spin")) for name in components(solver.freed))
-    if not (turns and far < np.pi * _radian(solver, found)):
-        return move, 1.0
     return move, float(np.clip(min(left(far), left(-far)) / foretold, RULES.times**-2, 1.0))
 
 

@@ -263,14 +263,13 @@ def progress_at(stop: Stop, camera: Camera) -> Progress:
 
 class Context(NamedTuple):
     """What is known beside a view: the mask's kind, bounds, the directions found to be free, how
-    the outline errs; a residual's variance if known better; where the likelihood gives it, the
-    `covariance` (n, n) by moves; else the move that shows least, and its `shelf`."""
+    the outline errs; where the likelihood gives it, the `covariance` (n, n) by moves; else the move
+    that shows least, and its `shelf`."""
 
     kind: Kind
     bounds: Bounds | None = None
     free: Sequence[Free] = ()
     errors: OutlineErrors | None = None
-    variance: float | None = None
     astray: float | None = None
     hidden: bool = False
     covariance: np.ndarray | None = None
@@ -304,7 +303,7 @@ def report(
         rest = at_rest(triangle, along, sums.squares, sums.touched, dtype, found.ended)
     triangle = without_free(triangle, context.free)
     noise = sums.touched_squares / max(sums.touched - n, 1)
-    noise = max(noise if context.variance is None else context.variance, context.kind.least)
+    noise = max(noise, context.kind.least)
     both = gradients(view, noise, context)
     if context.covariance is not None:
         normal = triangle.T @ triangle

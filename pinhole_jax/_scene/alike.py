@@ -14,8 +14,9 @@ along what is nearly free does not find these: they are no neighbours. The body'
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -148,8 +149,11 @@ class Alike:
 
 def rotated(camera: Camera, rotation: np.ndarray, shift: np.ndarray) -> Camera:
     """The camera that x -> rotation x + shift brings with it."""
-    eye = rotation @ np.asarray(camera.e, float) + shift
-    return camera.with_pose(eye, axes_of(camera) @ rotation.T)
+    e, p, u = (np.asarray(x, float) for x in (camera.e, camera.p, camera.u))
+    eye = rotation @ e + shift
+    dtype = np.asarray(camera.e).dtype  # (`with_pose` checks what it is given: six times as long)
+    pose: Any = [x.astype(dtype) for x in (eye, eye + rotation @ (p - e), rotation @ u)]
+    return eqx.tree_at(lambda c: [c.e, c.p, c.u], camera, pose)
 
 
 # --- lines that a body is round about -----------------------------------------------------------
