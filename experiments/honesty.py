@@ -312,7 +312,10 @@ def view(shape: str, random: Random, least: float, most: float) -> tuple[pj.Scen
 def wrong_trial(number: int, shape: str, kind: str) -> dict:
     random = np.random.default_rng([number, *map(ord, shape)])
     scene, truth = view(shape, random, 40, 230)
-    target = WRONG[kind](mask_of(truth, scene), random)
+    image = mask_of(truth, scene)
+    target = WRONG[kind](image, random)
+    while np.max(target) < 0.5:  # (Wavering has left nothing of a thin part.)
+        target = WRONG[kind](image, random)
     axis, aside = random.normal(size=(2, 3))
     far = STARTS[number % len(STARTS)]
     start = None if far is None else start_off(truth, far, axis, aside)

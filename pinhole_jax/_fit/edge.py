@@ -153,7 +153,9 @@ def outline_seen(solver: Solver, camera: Camera, number: int) -> OutlinePoints |
     by_move = around.rows / np.maximum(around.steepness, 1e-3)[:, None]
     at = place[:, ::-1] + 0.5 + np.asarray(level.origin, float)
     points = px * (at + out * _beyond_centre(out, share)[:, None])
-    return OutlinePoints(points, out, px * by_move, px * float(np.sum(around.steepness)), px)
+    # An edge touches as many pixels for each px of its length as its normal's sum of |x| and |y|.
+    length = float(np.sum(1 / np.maximum(np.abs(out).sum(axis=1), 1)))
+    return OutlinePoints(points, out, px * by_move, px * length, px)
 
 
 def _beyond_centre(out: np.ndarray, share: np.ndarray) -> np.ndarray:

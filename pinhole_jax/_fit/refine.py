@@ -26,7 +26,7 @@ from .places import Free
 
 #: Steps by generalised least squares at most, and those before which no camera is given up; a step
 #: of fewer standard errors is the last.
-STEPS, EARLY, STILL = 16, 2, 0.1
+STEPS, EARLY, STILL = 16, 2, 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +125,7 @@ class Refiner:
         near, covariance = self._near(1.0, said), None
         if said is not None and said.is_drawn and found.ended and not self.plainly:
             found = found._replace(view=near.look(found.camera, near.finest))
-            covariance = said.errors.covariance
+            covariance = said.errors.spread
         else:
             found, said = self._least_squares(near, found)
             for camera in [begin] if start is None else [begin, start]:
@@ -142,8 +142,7 @@ class Refiner:
                 likely = 0.0 if some else errors.computed  # (by all of the edge, or not at all)
                 found, said = self._perhaps_drawn(found, near, likely, is_drawn(errors))
                 errors = mask_errors(wide, found.view, not some)
-            move = said.errors.move
-            covariance = said.errors.covariance + np.outer(move, move)
+            covariance = said.errors.spread
         whole = self.solver.look(found.camera, self.solver.finest)
         return Candidate(found, whole, said, near, errors, covariance)
 
@@ -172,13 +171,14 @@ class Refiner:
         for n in range(min(STEPS, solver.max_steps)):
             part = min(share, RULES.smooth * self.edge.size / max(now.shift, 1e-9))
             camera = solver.step(camera, solver.finest, part * now.errors.move)
+            if any(angle(camera, other) < RULES.same for other in known):
+                return None
             after = self.account(camera)
             if after is None or after.log < said.log - RULES.times**2 / 2:
                 break
-            back = any(angle(camera, other) < RULES.same for other in known)
-            if (after.log < least and n >= EARLY) or back:
+            if after.log < least and n >= EARLY:
                 return None
-            if part * now.far < STILL:
+            if min(after.far, 2 * part * now.far) < STILL:
                 return begin._replace(camera=camera, ended=True), after
             worse = after.far > (1 - part / 2) * now.far
             share, now = share / 2 if worse else share, after

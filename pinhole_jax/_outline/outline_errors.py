@@ -176,6 +176,11 @@ class ErrorFit(NamedTuple):
     move: np.ndarray
     covariance: np.ndarray
 
+    @property
+    def spread(self) -> np.ndarray:
+        """The mean square error (n, n) of a camera that stays where it is."""
+        return self.covariance + np.outer(self.move, self.move)
+
 
 class ErrorModel:
     """Hypotheses on how a mask's edge errs at N places: that it is computed, and all sizes, biases,
