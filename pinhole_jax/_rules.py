@@ -130,6 +130,11 @@ class Rules:
     close: float = 0.02
 
     @property
+    def as_likely(self) -> float:
+        """By how much a mode's likelihood may be less (logarithms)."""
+        return self.times**2 / 2
+
+    @property
     def too_far(self) -> float:
         """How far (rad) from a start a camera is ruled out: four standard errors."""
         return self.times * self.start

@@ -8,10 +8,11 @@ each of its ends log N, since it may be at any block. Outline that the mask has 
 that nothing hides, costs as much.
 """
 
+from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -94,12 +95,18 @@ class Account:
         return float(np.sum(edge.step[self.gross & self.inside & large]) / np.sum(whole))
 
 
-@dataclass(frozen=True, eq=False)
-class _Segmentation:
+class _Reading(NamedTuple):
+    """A way to read an edge: the logarithm of its likelihood, how it errs where it is believed,
+    which of its blocks are gross (N,) and how far out others may be, and which shares of the
+    outline are missing and covered."""
+
     log: float
     model: ErrorModel
     evidence: Evidence
     gross: np.ndarray
+    reach: float
+    missing: float
+    covered: float
 
 
 class Likelihood:
@@ -139,57 +146,61 @@ class Likelihood:
         edge, blocks = self.edge, self._blocks
         if outline is None or len(blocks.length) < outline.by_move.shape[1] + 4:
             return None
-        pairs = matched(edge, outline)
+        pairs, away = matched(edge, outline), edge.distance(outline.at)
         limit = edge.size / 2
         offset = blocks.mean(np.clip(pairs.off, -limit, limit))
-        found = self._explained(offset, blocks.mean(pairs.by_move), roughly)
-        if found is None:
-            return None
-        gross, errors = found.gross[blocks.of], found.model.fit(found.evidence)
-        reach = max(RULES.within * errors.size, RULES.beside) + abs(errors.bias)
-        inside, outside = (offset < 0)[blocks.of], (offset > reach)[blocks.of]
-        away = edge.distance(outline.at)
-        alone = away > reach
-        whole = np.mean(alone)
-        alone[alone] = ~_is_hidden(edge, gross & inside, outline.at[alone], away[alone])
-        missing = float(np.mean(alone))
-        if missing > 1 - RULES.small:
-            return None
-        px = missing * outline.length
-        price = _price(px, min(px / 3, 1.0), edge.size, max(errors.size, 0.3))
-        covered = float(whole - missing)
-        price += covered / RULES.small  # (how much an occluder hides: exponential)
-        shift = float(np.max(np.abs(pairs.by_move @ errors.move)))
-        return Account(found.log - price, errors, gross, inside, outside, missing, covered, shift)
+        by_move, ends = blocks.mean(pairs.by_move), float(np.log(len(offset)))
 
-    def _explained(
-        self, offset: np.ndarray, by_move: np.ndarray, roughly: bool
-    ) -> _Segmentation | None:
-        """The likeliest runs of gross errors among offsets; None if nearly all are."""
-        length, ends = self._blocks.length, float(np.log(len(offset)))
-
-        def weighed(gross: np.ndarray, model: ErrorModel) -> _Segmentation:
-            errors = model.evidence(offset, by_move, gross, self._computed)
+        def read(gross: np.ndarray, model: ErrorModel) -> _Reading:
+            found = model.evidence(offset, by_move, gross, self._computed)
+            likeliest = int(np.argmax(found.log))
+            size, bias = float(model.size[likeliest]), float(found.bias[likeliest])
             # As dense as what lies about a smooth curve within a pixel.
-            log = errors.total - np.sum(gross) / 2
+            log = found.total - np.sum(gross) / 2
             runs = np.count_nonzero(gross != np.roll(gross, 1)) / 2
-            log -= 2 * ends * runs + _price(np.sum(length[gross]), runs, self.edge.size, 1.0)
-            return _Segmentation(float(log), model, errors, gross)
+            px = float(np.sum(blocks.length[gross]))
+            log -= 2 * ends * runs + _price(px, runs, edge.size, 1.0)
+            reach = max(RULES.within * size, RULES.beside) + abs(bias)
+            alone = away > reach
+            whole, hides = np.mean(alone), (gross & (offset < 0))[blocks.of]
+            alone[alone] = ~_is_hidden(edge, hides, outline.at[alone], away[alone])
+            missing = float(np.mean(alone))
+            px, covered = missing * outline.length, float(whole) - missing
+            log -= _price(px, min(px / 3, 1.0), edge.size, max(size, 0.3))
+            log -= covered / RULES.small  # (how much an occluder hides: exponential)
+            return _Reading(float(log), model, found, gross, reach, missing, covered)
 
-        some = self._runs(offset)
-        if not some:
+        found = self._likeliest(read, self._runs(offset), roughly)
+        if found is None or found.missing > 1 - RULES.small:
             return None
-        if len(some) == 1 and not roughly:
-            return weighed(some[0], self._fine)
-        tried = [weighed(x, self._rough) for x in some]
+        errors = found.model.fit(found.evidence)
+        gross, inside, outside = (
+            x[blocks.of] for x in (found.gross, offset < 0, offset > found.reach)
+        )
+        shift = float(np.max(np.abs(pairs.by_move @ errors.move)))
+        shares = found.missing, found.covered
+        return Account(found.log, errors, gross, inside, outside, *shares, shift)
+
+    def _likeliest(
+        self,
+        read: Callable[[np.ndarray, ErrorModel], _Reading],
+        runs: list[np.ndarray],
+        roughly: bool,
+    ) -> _Reading | None:
+        """The likeliest reading by runs of gross errors (N,), or by longer ones; None without."""
+        if not runs:
+            return None
+        if len(runs) == 1 and not roughly:
+            return read(runs[0], self._fine)
+        tried = [read(x, self._rough) for x in runs]
         # Where an occluder meets the outline, a camera can be turned onto a part of it.
         first = max(tried, key=lambda x: x.log).gross
         wider = [_widened(first, by) for by in WIDER] if np.any(first) else []
-        tried += [weighed(x, self._rough) for x in wider if np.mean(x) <= 1 - RULES.small]
+        tried += [read(x, self._rough) for x in wider if np.mean(x) <= 1 - RULES.small]
         likeliest = sorted(tried, key=lambda x: -x.log)
         if roughly:
             return likeliest[0]
-        return max((weighed(x.gross, self._fine) for x in likeliest[:2]), key=lambda x: x.log)
+        return max((read(x.gross, self._fine) for x in likeliest[:2]), key=lambda x: x.log)
 
     def _runs(self, offset: np.ndarray) -> list[np.ndarray]:
         """None, and the cheapest runs (N,) of gross offsets for each size of the others; nothing if

@@ -123,17 +123,22 @@ class Refiner:
                 return None
             found, said = likelier
         near, covariance = self._near(1.0, said), None
-        if said is not None and said.is_drawn and found.ended and not self.plainly:
+        ended = said if found.ended and not self.plainly else None
+        if ended is not None:
             found = found._replace(view=near.look(found.camera, near.finest))
-            covariance = said.errors.spread
+        if ended is not None and ended.is_drawn:
+            covariance = ended.errors.spread
         else:
-            found, said = self._least_squares(near, found)
+            before, (found, said) = found, self._least_squares(near, found)
             for camera in [begin] if start is None else [begin, start]:
                 if not near.look(camera, near.finest).squares >= found.view.squares:
                     found, said = self._least_squares(near, found._replace(camera=camera))
-            near, before = self._near(1.0, said), near
-            if not all(map(np.array_equal, near.weights, before.weights)):
+            believes = near.weights
+            near = self._near(1.0, said)
+            if not all(map(np.array_equal, near.weights, believes)):
                 found, said = self._least_squares(near, found)  # (Other pixels are believed.)
+            if ended is not None and (said is None or said.log < ended.log - RULES.as_likely):
+                found, said, near = before, ended, self._near(1.0, ended)
         some = said is not None and bool(np.any(said.gross))
         wide = self._near(RULES.times, said) if some else self.solver
         errors = mask_errors(wide, found.view, not some)
@@ -174,7 +179,7 @@ class Refiner:
             if any(angle(camera, other) < RULES.same for other in known):
                 return None
             after = self.account(camera)
-            if after is None or after.log < said.log - RULES.times**2 / 2:
+            if after is None or after.log < said.log - RULES.as_likely:
                 break
             if after.log < least and n >= EARLY:
                 return None
@@ -211,7 +216,7 @@ class Refiner:
     def is_free(self, candidate: Candidate, free: Free, others: Sequence[Candidate]) -> bool:
         """Whether cameras far away may be as likely in a direction that squares call free: some of
         the others as near as that goes, or those that strides lead to. (A twin is another mode.)"""
-        least, at = candidate.log - RULES.times**2 / 2, candidate.found.camera
+        least, at = candidate.log - RULES.as_likely, candidate.found.camera
         reach = max(free.ahead, free.behind)
         likely = (c for c in others if c.log >= least)
         if any(RULES.start < angle(c.found.camera, at) <= reach for c in likely):
@@ -223,7 +228,7 @@ class Refiner:
         """Whether strides (rad) and a descent after each lead farther away than one of them, by
         cameras that are as likely."""
         near, begin = candidate.near, candidate.found
-        camera, least, far = begin.camera, candidate.log - RULES.times**2 / 2, 0.0
+        camera, least, far = begin.camera, candidate.log - RULES.as_likely, 0.0
         while far <= abs(stride):
             camera = near.step(camera, near.finest, stride * move)
             said = self.account(camera)
@@ -258,7 +263,7 @@ def likeliest(candidates: Sequence[Candidate], alike: int, start: Camera | None)
     far = [0.0 if start is None else angle(c.found.camera, start) for c in candidates]
     logs = [c.log - (x / RULES.start) ** 2 / 2 for c, x in zip(candidates, far, strict=True)]
     order = sorted(range(len(logs)), key=lambda k: -logs[k])
-    least = logs[order[0]] - RULES.times**2 / 2
+    least = logs[order[0]] - RULES.as_likely
     together = order[0] < alike and not is_drawn(candidates[order[0]].errors)
     reach = max(RULES.too_far, far[order[0]])
     stays = lambda k: together and k < alike and far[k] <= reach
