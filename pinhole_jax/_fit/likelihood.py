@@ -95,10 +95,13 @@ class Account:
         return float(np.sum(edge.step[self.gross & self.inside & large]) / np.sum(whole))
 
 
-class _Reading(NamedTuple):
-    """A way to read an edge: the logarithm of its likelihood, how it errs where it is believed,
-    which of its blocks are gross (N,) and how far out others may be, and which shares of the
-    outline are missing and covered."""
+class _EdgeReading(NamedTuple):
+    """A way to read an edge.
+
+    - `log`: the logarithm of its likelihood; `evidence`: by a `model` of where it is believed.
+    - `gross` (N,): which of its blocks are not; `reach`: how far out the others may be (px).
+    - `missing`, `covered`: shares of the outline, as an `Account` has them.
+    """
 
     log: float
     model: ErrorModel
@@ -151,7 +154,7 @@ class Likelihood:
         offset = blocks.mean(np.clip(pairs.off, -limit, limit))
         by_move, ends = blocks.mean(pairs.by_move), float(np.log(len(offset)))
 
-        def read(gross: np.ndarray, model: ErrorModel) -> _Reading:
+        def read(gross: np.ndarray, model: ErrorModel) -> _EdgeReading:
             found = model.evidence(offset, by_move, gross, self._computed)
             likeliest = int(np.argmax(found.log))
             size, bias = float(model.size[likeliest]), float(found.bias[likeliest])
@@ -168,7 +171,7 @@ class Likelihood:
             px, covered = missing * outline.length, float(whole) - missing
             log -= _price(px, min(px / 3, 1.0), edge.size, max(size, 0.3))
             log -= covered / RULES.small  # (how much an occluder hides: exponential)
-            return _Reading(float(log), model, found, gross, reach, missing, covered)
+            return _EdgeReading(float(log), model, found, gross, reach, missing, covered)
 
         found = self._likeliest(read, self._runs(offset), roughly)
         if found is None or found.missing > 1 - RULES.small:
@@ -183,10 +186,10 @@ class Likelihood:
 
     def _likeliest(
         self,
-        read: Callable[[np.ndarray, ErrorModel], _Reading],
+        read: Callable[[np.ndarray, ErrorModel], _EdgeReading],
         runs: list[np.ndarray],
         roughly: bool,
-    ) -> _Reading | None:
+    ) -> _EdgeReading | None:
         """The likeliest reading by runs of gross errors (N,), or by longer ones; None without."""
         if not runs:
             return None
