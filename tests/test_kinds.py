@@ -47,8 +47,8 @@ KINDS = {
     "16 bits of floats": (lambda m: m.astype(np.float16), "soft", True),
     "8 bits": (bytes_of, "soft", True),
     "8 bits as floats": (lambda m: np.round(255 * m) / 255, "soft", True),
-    "16 samples": (lambda m: sampled(m, 16), "soft", True),
-    "64 samples, 8 bits": (lambda m: bytes_of(sampled(m, 64)), "soft", True),
+    "16 samples": (lambda m: sampled(m, 16), "soft", False),
+    "64 samples, 8 bits": (lambda m: bytes_of(sampled(m, 64)), "soft", False),
     "256 samples": (lambda m: sampled(m, 256), "soft", True),
     "256 samples, 8 bits": (lambda m: bytes_of(sampled(m, 256)), "soft", True),
     "exact, and 1 to rounding": (lambda m: np.where(m == 1, 1 - 4e-15, m), "soft", True),
@@ -76,6 +76,6 @@ def test_residual_of_the_right_camera_matches_the_kind(name):
     rounded_only = name.startswith("exact") or name in ("16 bits of floats", "256 samples, 8 bits")
     if exact and not rounded_only:
         assert 0.3 < left / found.variance < 3
-    if exact and name != "16 samples":  # half a pixel off is not explained
+    if exact:  # half a pixel off is not explained
         moved = 0.5 * (MASK + np.roll(MASK, 1, axis=1))
         assert np.mean((moved - MASK)[outline] ** 2) > found.most

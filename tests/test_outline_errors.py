@@ -34,6 +34,21 @@ def test_rendered_binary_mask_has_quantisation_errors_alone():
     assert np.all((ratio > 0.75) & (ratio < 1.5))  # (along edges errors cancel)
 
 
+@pytest.mark.parametrize("times", [2, 4])
+def test_shrunk_drawing_is_no_rendering(times):
+    """A drawn mask whose pixels were averaged has the values of one that was sampled."""
+    truth, big = single(CAMERA), single(CAMERA.replace(W=times * SIZE, H=times * SIZE))
+    hard = wavy(drawn(big, SCENE), default_rng(0), 0.8 * times, 12 * times)
+    small = hard.reshape(SIZE, times, SIZE, times).mean((1, 3), dtype=np.float32)
+    fit = pj.fit_camera(SCENE, small, turned(truth, 5))
+    assert fit.mask_error.px > 0.2
+    assert fit.status == "converged"
+    off = degrees(fit, truth)
+    assert off < 3 * np.rad2deg(np.linalg.norm(fit.std[:3]))
+    plain = np.rad2deg(np.linalg.norm(np.sqrt(np.diag(fit.independent_covariance)[:3])))
+    assert np.rad2deg(np.linalg.norm(fit.std[:3])) > 2 * plain
+
+
 @pytest.mark.parametrize("roll", [0.1, full(0.5), 9.0, full(30.0)])
 def test_errors_of_one_bit_are_alike_along_rows_and_cancel_across(roll):
     """Gradients at the truth, of a plate that lies anywhere among the pixels: their covariance in

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 import trimesh
 from chosen import long
-from oracles import body, drawn, lump, turned
+from masks import wavy
+from numpy.random import default_rng
+from oracles import body, drawn, lump, turned, usual_camera
 from results import degrees
 from scipy.spatial.transform import Rotation
 
@@ -94,3 +96,15 @@ def test_continuous_symmetry_is_no_list_of_modes():
     assert fit.iou > 0.999
     assert fit.modes == ()
     assert "rotation about the axis" in fit.weak[0]
+
+
+def test_start_at_a_twin_yields_to_a_mask_that_shows_it():
+    """A start decides between equals; what a mask tells by far it does not overrule."""
+    knob = trimesh.creation.icosphere(2, 0.25).apply_translation([0.6, 0.5, 0.1])
+    both = trimesh.creation.box([1.6, 1.1, 0.5]) + knob
+    scene = body(both.vertices, both.faces)
+    truth = usual_camera(160, 128)
+    mask = wavy(drawn(truth, scene), default_rng(0), 0.5, 12)
+    fit = pj.fit_camera(scene, mask, turned(truth, 180, axis=(1, 0, 0)))
+    assert fit.status == "converged"
+    assert degrees(fit, truth) < 6

@@ -258,10 +258,12 @@ def likeliest(candidates: Sequence[Candidate], alike: int, start: Camera | None)
 
     The first `alike` of them leave equal squares: they stay together unless a person or a network
     drew the mask, whose errors are among those squares. A start is another measurement, and rules
-    out what lies too far from it, unless the likeliest does.
+    out what lies too far from it, unless the likeliest does. (It may be a twin's: what is far from
+    it is no less likely than what it tells from its equal, twice.)
     """
     far = [0.0 if start is None else angle(c.found.camera, start) for c in candidates]
-    logs = [c.log - (x / RULES.start) ** 2 / 2 for c, x in zip(candidates, far, strict=True)]
+    less = [min((x / RULES.start) ** 2 / 2, 2 * RULES.as_likely) for x in far]
+    logs = [c.log - x for c, x in zip(candidates, less, strict=True)]
     order = sorted(range(len(logs)), key=lambda k: -logs[k])
     least = logs[order[0]] - RULES.as_likely
     together = order[0] < alike and not is_drawn(candidates[order[0]].errors)

@@ -101,9 +101,12 @@ def kind_of(target: np.ndarray, weights: np.ndarray, dtype: Any) -> Kind:
         variance = scale * noise**2 + least
         most = RULES.times * variance if even else RULES.hard * scale
         return Kind("noisy", variance, most, least, even, far, spread)
-    # A renderer's 8 bits: some hundred samples a pixel, or its filter.
+    few = step >= 1 / SAMPLES
+    # A renderer's 8 bits: some hundred samples a pixel, or its filter. Few samples may be a larger
+    # mask's pixels, which anybody may have drawn: they leave as little as one bit does.
     most = RULES.times * (SAMPLED / 1024 * scale if step == 1 / 255 else variance)
-    return Kind("soft", variance, most, least, True, alike=max(least, scale * resolved**2))
+    most = RULES.hard / UNIFORM * variance if few else most
+    return Kind("soft", variance, most, least, not few, alike=max(least, scale * resolved**2))
 
 
 def _grey_pixels(target: np.ndarray) -> SparseImage:
