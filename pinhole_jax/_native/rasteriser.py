@@ -13,8 +13,9 @@ from jaxtyping import Array, Float
 from .._camera.distortion import BrownConrady, Fisheye, Rational
 from .._camera.film import Bend, FilmMap, turned
 from .._camera.lens import Lens
+from .._numerics.components import perpendicular
 from .._numerics.on_devices import spread
-from .._numerics.safe import length, safe_divide, safe_sqrt
+from .._numerics.safe import length, safe_sqrt
 from .._scene.scene import Scene, Spheres
 from .linear import differentiable_once, linear, merged, moving_of
 
@@ -103,17 +104,9 @@ def ring_at(x: Array, y: Array, z: Array, radius: Array) -> Sequence[Array]:
     distance = jnp.where(jax.lax.stop_gradient(distance > radius), distance, 2 * radius)
     sine = radius / distance
     cosine = safe_sqrt((distance - radius) / distance * (1 + sine))
-    axis = x / distance, y / distance, z / distance
-    sizes = [jax.lax.stop_gradient(jnp.abs(a)) for a in axis]
-    is_x = (sizes[0] <= sizes[1]) & (sizes[0] <= sizes[2])
-    is_y = ~is_x & (sizes[1] <= sizes[2])
-    which = is_x, is_y, ~is_x & ~is_y
-    least = jnp.where(is_x, axis[0], jnp.where(is_y, axis[1], axis[2]))
-    aside = [there.astype(x.dtype) - a * least for there, a in zip(which, axis, strict=True)]
-    size = length(*aside)
-    e1 = [safe_divide(a, size) for a in aside]
-    pairs = (1, 2), (2, 0), (0, 1)
-    e2 = [e1[i] * axis[j] - e1[j] * axis[i] for i, j in pairs]  # counter-clockwise to the eye
+    e2, e1 = perpendicular(
+        (x / distance, y / distance, z / distance)
+    )  # counter-clockwise to the eye
     return cosine / distance, *(sine * a for a in (*e1, *e2))
 
 

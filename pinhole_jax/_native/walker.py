@@ -1,12 +1,12 @@
 """Rays' first hits by the compiled library."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._numerics.on_devices import spread
 from .._scene.scene import Scene
+from .rasteriser import scene_arrays
 
 
 def walked(
@@ -21,11 +21,8 @@ def walked(
     All are of one float type, and rays have an origin each or one in common. `any_hit` stops at the
     first primitive found.
     """
-    real, mesh, spheres = direction.dtype, scene.mesh, scene.spheres
-    points = jnp.zeros((0, 3), real)
-    vertices, faces = (points, points) if mesh is None else (mesh.vertices, mesh.faces)
-    centers, radii = (points, points[:, 0]) if spheres is None else (spheres.centers, spheres.radii)
-    given = vertices, faces.astype(jnp.int32), centers, radii, origin, direction
-    like = jax.ShapeDtypeStruct(direction.shape[:1], jnp.int32)
+    vertices, faces, _, _, centers, radii = scene_arrays(scene, direction.dtype)
+    given = vertices, faces, centers, radii, origin, direction
+    like = jax.ShapeDtypeStruct(direction.shape[:1], np.int32)
     call = jax.ffi.ffi_call("pinhole_walk", like, vmap_method="expand_dims")
     return spread([call(*spread(given, []), any=np.int64(any_hit))], given)[0]

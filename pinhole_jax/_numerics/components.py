@@ -5,6 +5,7 @@ A last axis of length 3 prevents that: what a million rays meet takes 10 times a
 
 import functools
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -53,3 +54,15 @@ def unit(vector: Parts) -> list[Array]:
     """Return vector / |vector|; the null vector maps to itself, with derivative 0."""
     size = length(*vector)
     return [safe_divide(x, size) for x in vector]
+
+
+def perpendicular(direction: Any) -> tuple[list[Any], list[Any]]:
+    """Return two unit vectors that make a right-handed frame with a unit one, of JAX or NumPy.
+
+    Frisvad's basis (2012) in the form of Duff et al. (2017), which has no singular direction.
+    """
+    x, y, z = direction
+    sign = 1 - 2 * (z < 0).astype(z.dtype)
+    a = -1 / (sign + z)
+    b = x * y * a
+    return [1 + sign * x * x * a, sign * b, -sign * x], [b, sign + y * y * a, -y]

@@ -22,6 +22,7 @@ from jaxtyping import Float, Int
 
 from .._camera.axes import axes_of, sphere_points
 from .._camera.camera import Camera
+from .._numerics.components import perpendicular
 from .._numerics.memo import memoised
 from .._rules import RULES
 from .scene import grid_cells
@@ -215,7 +216,7 @@ def _line(points: np.ndarray, axis: np.ndarray) -> _Line | None:
     about, and how far off most of the rest is."""
     centre, rest, weighings = np.zeros(3), 0.0, WEIGHINGS
     for allowed in (*np.geomspace(NEARLY, 2 * ROUND, ROUNDS), ROUND):
-        normals = _normal_to(axis)
+        normals = np.array(perpendicular(axis))
         directions = LOOKS @ [*normals, axis]
         where = points[np.argmax(directions @ points.T, axis=1)]
         reach = np.sum(where * directions, axis=1)
@@ -230,13 +231,6 @@ def _line(points: np.ndarray, axis: np.ndarray) -> _Line | None:
         axis = axis - np.cross(fitted[5:] @ normals, axis)
         axis, centre = axis / np.linalg.norm(axis), fitted[3:5] @ normals
     return axis, centre, float(rest)
-
-
-def _normal_to(axis: np.ndarray) -> np.ndarray:
-    """Return two directions (2, 3) that make right angles with an axis and each other."""
-    first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-    first = first / np.linalg.norm(first)
-    return np.stack([first, np.cross(axis, first)])
 
 
 def _robust(table: np.ndarray, values: np.ndarray, weighings: int) -> np.ndarray:
@@ -258,7 +252,7 @@ def _pitch(points: np.ndarray, axis: np.ndarray, centre: np.ndarray) -> float | 
     """Return the angle at which facets repeat about a line, the smallest; None: they do not."""
     from scipy.spatial import ConvexHull
 
-    flat = (points - centre) @ _normal_to(axis).T
+    flat = (points - centre) @ np.array(perpendicular(axis)).T
     corners = flat[ConvexHull(flat, qhull_options="QJ").vertices]
     if len(corners) > CORNERS:
         return None

@@ -20,7 +20,7 @@ from .._numerics.arrays import (
     is_concrete,
     stands_alone,
 )
-from .._numerics.pointwise import room
+from .._numerics.pointwise import padded as filled_up, room
 from .._numerics.safe import binary_scale
 from .topology import edge_records, without_copies
 
@@ -202,13 +202,10 @@ def padded(scene: Scene) -> Scene:
         return scene
     V, F, E = _filled_sizes(len(mesh.vertices), len(mesh.faces), len(mesh.edge_faces))
     arrays = lambda m: (m.vertices, m.faces, m.edge_vertices, m.edge_faces)
-    filled = map(_with_room, arrays(mesh), (V, F, E, E))
+    # (By NumPy: JAX would compile that for each size.)
+    pairs = zip(arrays(mesh), (V, F, E, E), strict=True)
+    filled = [jnp.asarray(filled_up(np.asarray(x), size, 0)) for x, size in pairs]
     return Scene(mesh=eqx.tree_at(arrays, mesh, (*filled,)), spheres=scene.spheres)
-
-
-def _with_room(x: Array, size: int) -> Array:
-    """Return an array, filled up by NumPy: JAX would compile that for each size."""
-    return jnp.asarray(np.pad(np.asarray(x), ((0, size - len(x)), (0, 0))), x.dtype)
 
 
 def _filled_sizes(vertices: int, faces: int, edges: int) -> tuple[int, int, int]:
@@ -266,12 +263,6 @@ def ball_about(box: Float[Array | np.ndarray, "2 3"]) -> Ball:
     size = abs(half).max()
     unit = half / (size + (size == 0).astype(half.dtype))  # squares do not overflow
     return Ball(low + half, size * (unit**2).sum() ** 0.5)
-
-
-@jax.jit
-def morton_order(points: Float[Array, "N 3"]) -> Int[Array, "N"]:
-    """Return the order of at least one point by Morton code."""
-    return jnp.argsort(morton_codes(points)).astype(jnp.int32)
 
 
 def morton_codes(points: Float[Array | np.ndarray, "N 3"]) -> UInt32[Array | np.ndarray, "N"]:

@@ -14,10 +14,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from .._numerics.components import Parts, parts
-from .._numerics.safe import binary_inverse, binary_scale
-from .._scene.scene import Scene, morton_order
-from .intersect import sphere_depth, triangle_depth
+from .._numerics.components import parts
+from .._numerics.safe import binary_scale, normalize
+from .._scene.scene import Scene, morton_codes
+from .intersect import ray_sphere, ray_triangle
 
 #: Rays side by side.
 BESIDE = 1 << 16
@@ -40,20 +40,16 @@ class Tree(NamedTuple):
 class Ray(NamedTuple):
     """A ray, or many, in the form of the tests of boxes and primitives.
 
-    - `origin`: as it is.
-    - `scale`: its depth, along its longest axis, per unit along each axis.
-    - `slack`: the largest error of the depth of a plane.
-    - `axes`, `sign`: the longest axis is the last of these; the ray runs along it times the sign.
-    - `line`: origin and slopes, for the primitives' tests.
+    - `origin`, `direction`: as they are, of unit length.
+    - `scale`: its distance per unit along each axis.
+    - `slack`: the largest error of the distance of a plane.
     - `real`: True if all this is finite.
     """
 
     origin: Float[Array, "*rays 3"]
+    direction: Float[Array, "*rays 3"]
     scale: Float[Array, "*rays 3"]
     slack: Float[Array, "*rays 3"]
-    axes: Int[Array, "*rays 3"]
-    sign: Float[Array, "*rays"]
-    line: Parts
     real: Bool[Array, "*rays"]
 
 
@@ -63,7 +59,7 @@ def first_met(
     """The face that each ray hits first, or F + the sphere; -1 for none."""
     scene, unit = _to_unit_size(scene)
     rays = jax.vmap(_ray)(jnp.broadcast_to(origin * unit, direction.shape), direction)
-    depth, met = jnp.full(direction.shape[:1], jnp.inf, direction.dtype), jnp.int32(-1)
+    distance, met = jnp.full(direction.shape[:1], jnp.inf, direction.dtype), jnp.int32(-1)
     kinds = []
     if scene.mesh is not None:
         kinds.append((scene.mesh.vertices[scene.mesh.faces], None))
@@ -74,28 +70,25 @@ def first_met(
         if data.shape[0]:
             walk = partial(_walk, _tree(data, radius))
             here, which = jax.lax.map(walk, rays, batch_size=min(BESIDE, direction.shape[0]))
-            met = jnp.where(here < depth, number + which, met)
-            depth = jnp.minimum(here, depth)
+            met = jnp.where(here < distance, number + which, met)
+            distance = jnp.minimum(here, distance)
         number += data.shape[0]
-    return jnp.broadcast_to(met, depth.shape)
+    return jnp.broadcast_to(met, distance.shape)
 
 
 def _to_unit_size(scene: Scene) -> tuple[Scene, Float[Array, ""]]:
     """The scene in a unit of length about its largest coordinate's size, and the factor."""
-    where = lambda s: [
-        *([] if s.mesh is None else [s.mesh.vertices]),
-        *([] if s.spheres is None else [s.spheres.centers, s.spheres.radii]),
-    ]
-    sizes = [jnp.max(jnp.abs(x), initial=0) for x in where(scene)]
-    scale = binary_scale(jnp.stack(sizes)) if sizes else jnp.ones(())
-    return eqx.tree_at(where, scene, [x * scale for x in where(scene)]), scale
+    lengths, rest = eqx.partition(scene, eqx.is_inexact_array)
+    sizes = [jnp.max(jnp.abs(x), initial=0) for x in jax.tree.leaves(lengths)]
+    scale = binary_scale(jnp.stack(sizes))
+    return eqx.combine(jax.tree.map(lambda x: x * scale, lengths), rest), scale
 
 
 def _tree(data: Float[Array, "N points 3"], radius: Float[Array, "N"] | None) -> Tree:
     """A complete binary tree over boxes in Morton order, its levels one after another."""
     size = 0 if radius is None else radius[:, None]
     low, high = jnp.min(data, axis=1) - size, jnp.max(data, axis=1) + size
-    order = morton_order(jnp.mean(data, axis=1))
+    order = jnp.argsort(morton_codes(jnp.mean(data, axis=1))).astype(jnp.int32)
     eps, extent = jnp.finfo(low.dtype).eps, jnp.max(high - low, axis=1, keepdims=True)
     # Slivers are met up to the root of the rounding beside them: so much their test leaves open.
     pad = 4 * eps * jnp.maximum(jnp.abs(low), jnp.abs(high)) + 16 * eps**0.5 * extent
@@ -115,24 +108,17 @@ def _tree(data: Float[Array, "N points 3"], radius: Float[Array, "N"] | None) ->
 def _ray(origin: Float[Array, "3"], direction: Float[Array, "3"]) -> Ray:
     """A ray as it goes through a tree, whose lengths are about 1. The slack is some times the
     rounding of the tests of boxes and primitives: what the latter find the former never hide."""
-    sizes = jnp.abs(direction)
-    direction = direction * binary_inverse(jnp.max(sizes))
-    axes = (jnp.argmax(sizes) + jnp.arange(1, 4)) % 3
-    along = direction[axes]
-    sign = jnp.where(along[2] < 0, -1, 1).astype(direction.dtype)
-    slope = direction / (along[2] * sign)
-    eps, reach = jnp.finfo(slope.dtype).eps, 4 + jnp.max(jnp.abs(origin))
-    size = jnp.maximum(jnp.abs(slope), eps)  # flatter ones go aside by less than the slack
-    scale = jnp.where(slope < 0, -1 / size, 1 / size)
+    direction = normalize(direction)
+    eps, reach = jnp.finfo(direction.dtype).eps, 4 + jnp.max(jnp.abs(origin))
+    size = jnp.maximum(jnp.abs(direction), eps)  # flatter ones go aside by less than the slack
+    scale = jnp.where(direction < 0, -1 / size, 1 / size)
     slack = 16 * eps * reach * (1 + size) / size
-    x, y, z = parts(origin[axes])
-    line = [x, y, z * sign, *parts(slope[axes])[:2]]
-    real = jnp.all(jnp.isfinite(origin * scale + slack)) & jnp.all(jnp.isfinite(jnp.stack(line)))
-    return Ray(origin, scale, slack, axes, sign, line, real)
+    real = jnp.all(jnp.isfinite(origin * scale + slack)) & jnp.any(direction != 0)
+    return Ray(origin, direction, scale, slack, real)
 
 
 def _walk(tree: Tree, ray: Ray) -> tuple[Float[Array, ""], Int[Array, ""]]:
-    """The depth of a ray's first hit (inf for a miss), and its primitive."""
+    """The distance of a ray's first hit (inf for a miss), and its primitive."""
     leaves, number = tree.low.shape[0] // 2, tree.primitive.shape[0]
 
     def visit(state):
@@ -143,24 +129,24 @@ def _walk(tree: Tree, ray: Ray) -> tuple[Float[Array, ""], Int[Array, ""]]:
         leave = jnp.min(jnp.maximum(a, b) + ray.slack)
         passes = (enter <= leave) & (leave >= 0) & (enter <= best)
         slot = jnp.clip(node - leaves, 0, number - 1)
-        depth = jnp.where(passes & (node >= leaves), _depth(tree, ray, slot), jnp.inf)
+        distance = jnp.where(passes & (node >= leaves), _distance(tree, ray, slot), jnp.inf)
         which = tree.primitive[slot]
-        nearer = (depth < best) | ((depth == best) & (depth < jnp.inf) & (which < met))
+        nearer = (distance < best) | ((distance == best) & (distance < jnp.inf) & (which < met))
         # Behind a node: up as long as it is a right child, then to the right.
         behind = node + 1
         behind = behind >> jax.lax.population_count((behind & -behind) - 1)
         behind = jnp.where(behind == 1, 0, behind)
         node = jnp.where(passes & (node < leaves), 2 * node, behind)
-        return node, jnp.where(nearer, depth, best), jnp.where(nearer, which, met)
+        return node, jnp.where(nearer, distance, best), jnp.where(nearer, which, met)
 
-    start = ray.real.astype(jnp.int32), jnp.array(jnp.inf, ray.sign.dtype), jnp.int32(-1)
+    start = ray.real.astype(jnp.int32), jnp.array(jnp.inf, ray.slack.dtype), jnp.int32(-1)
     return jax.lax.while_loop(lambda state: state[0] > 0, visit, start)[1:]
 
 
-def _depth(tree: Tree, ray: Ray, slot: Int[Array, ""]) -> Float[Array, ""]:
-    """The depth of a ray's hit of a primitive; inf for a miss."""
-    x, y, z = parts(tree.data[slot][:, ray.axes])
-    points = jnp.stack([x, y, z * ray.sign], axis=1).reshape(-1)
+def _distance(tree: Tree, ray: Ray, slot: Int[Array, ""]) -> Float[Array, ""]:
+    """The distance of a ray's hit of a primitive; inf for a miss."""
+    direction = parts(ray.direction)
+    points = [parts(point - ray.origin) for point in tree.data[slot]]
     if tree.radius is None:
-        return triangle_depth(ray.line, points)
-    return sphere_depth(ray.line, [*points, tree.radius[slot]])
+        return ray_triangle(direction, *points)
+    return ray_sphere(direction, points[0], tree.radius[slot])

@@ -3,20 +3,14 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._numerics.components import Parts, inner
+from .._numerics.components import Parts, inner, perpendicular
 from .._numerics.safe import safe_divide, safe_sqrt
 
 
-def _perpendicular(direction: Parts) -> tuple[Parts, Parts]:
-    """Return two unit vectors orthogonal to a unit direction and to one another.
-
-    Frisvad's basis (2012) in the form of Duff et al. (2017), which has no singular direction.
-    """
-    x, y, z = direction
-    sign = jnp.where(z < 0, -1, 1).astype(z.dtype)
-    a = -1 / (sign + z)
-    b = x * y * a
-    return (1 + sign * x * x * a, sign * b, -sign * x), (b, sign + y * y * a, -y)
+def _beside(direction: Parts, *corners: Parts) -> list[Parts]:
+    """Return corners' two coordinates beside a ray from the origin, and the one along it."""
+    axes = *perpendicular(direction), direction
+    return [[inner(corner, axis) for axis in axes] for corner in corners]
 
 
 def ray_plane(direction: Parts, a: Parts, b: Parts, c: Parts) -> tuple[Array, Parts]:
@@ -24,40 +18,25 @@ def ray_plane(direction: Parts, a: Parts, b: Parts, c: Parts) -> tuple[Array, Pa
 
     Rays begin at the origin; all is by components.
     """
-    first, second = _perpendicular(direction)
-    seen = (tuple(inner(p, axis) for axis in (first, second, direction)) for p in (a, b, c))
-    return _weighted(*seen)
+    return _weighted(*_beside(direction, a, b, c))
 
 
-def triangle_depth(ray: Parts | Array, corners: Parts | Array) -> Float[Array, "*batch"]:
-    """Return the depth of hits of triangles along the third axis; inf for misses.
+def ray_triangle(direction: Parts, a: Parts, b: Parts, c: Parts) -> Float[Array, "*batch"]:
+    """Return the distances of triangles in front of the origin; inf for misses.
 
     Either side counts, and so do edges and vertices.
 
-    A ray is its origin and two slopes, (sx, sy): its direction is (sx, sy, 1); corners are nine
-    coordinates. Watertight in the sense of Woop, Benthin and Wald (2013): each corner's coordinates
-    beside the ray depend on ray and corner alone, and the signs of three edge functions decide.
-    Each compares two products of them, so two triangles that share an edge never disagree.
+    Watertight in the sense of Woop, Benthin and Wald (2013): each corner's coordinates beside the
+    ray depend on ray and corner alone, and the signs of three edge functions decide. Each compares
+    two products of them, so two triangles that share an edge never disagree.
     """
-
-    def seen(k: int):
-        x, y, z = (corners[3 * k + i] - ray[i] for i in range(3))
-        return x - ray[3] * z, y - ray[4] * z, z
-
-    p, q, r = (seen(k) for k in range(3))
+    p, q, r = _beside(direction, a, b, c)
     u, v, w = _edge(q, r), _edge(r, p), _edge(p, q)
     det = u + v + w
     met = _around(p, q, r) & (det != 0)
     # XLA works out a quotient once, what comes after it once for each use.
-    depth = jnp.where(met, u * p[2] + v * q[2] + w * r[2], jnp.inf) / jnp.where(met, det, 1)
-    return jnp.where(depth > 0, depth, jnp.inf)
-
-
-def sphere_depth(ray: Parts, sphere: Parts) -> Float[Array, "*batch"]:
-    """Return the depth of hits of spheres (centre and radius) by rays as in `triangle_depth`."""
-    length = jnp.sqrt(1 + ray[3] * ray[3] + ray[4] * ray[4])
-    direction = [ray[3] / length, ray[4] / length, 1 / length]
-    return ray_sphere(direction, [sphere[k] - ray[k] for k in range(3)], sphere[3]) / length
+    t = jnp.where(met, u * p[2] + v * q[2] + w * r[2], jnp.inf) / jnp.where(met, det, 1)
+    return jnp.where(t > 0, t, jnp.inf)
 
 
 def _edge(p, q) -> Array:
