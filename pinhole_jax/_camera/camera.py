@@ -268,31 +268,16 @@ class Camera(eqx.Module):
         return eqx.tree_at(lambda c: [c.e, c.p, c.u], self, pose)
 
 
-class ResizableCamera(eqx.Module):
-    """A camera whose resolution is data: one compiled program serves all film sizes."""
+class ResizableCamera(Camera):
+    """The same camera with a resolution that is data: one compiled program serves all sizes."""
 
-    e: Float[Array, "3"]
-    p: Float[Array, "3"]
-    u: Float[Array, "3"]
-    phi: Float[Array, ""]
-    d: Float[Array, ""]
     W: Any
     H: Any
-    lens: Lens | None
 
-    @classmethod
-    def from_camera(cls, camera: Camera) -> "ResizableCamera":
-        """The same camera."""
-        W, H = np.array([camera.W, camera.H], camera.e.dtype)
-        return cls(camera.e, camera.p, camera.u, camera.phi, camera.d, W, H, camera.lens)
-
-    @property
-    def distortion(self) -> Distortion | None:
-        """The lens's distortion."""
-        return None if self.lens is None else self.lens.distortion
-
-
-AnyCamera = Camera | ResizableCamera
+    def __init__(self, camera: Camera):
+        for name in ("e", "p", "u", "phi", "d", "lens"):
+            setattr(self, name, getattr(camera, name))
+        self.W, self.H = np.array([camera.W, camera.H], camera.e.dtype)
 
 
 def _is_single(camera: Camera) -> bool:
@@ -366,13 +351,13 @@ def camera_basis(camera: Camera) -> Basis:
     return basis(camera.e, camera.p, camera.u)
 
 
-def focal_px(camera: AnyCamera) -> tuple[Float[Array, ""], Float[Array, ""]]:
+def focal_px(camera: Camera) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Return the focal length (px) along x and y: `H / (2 tan(phi/2))`, x times the aspect."""
     fy = camera.H / (2 * jnp.tan(camera.phi / 2))
     return (fy if camera.lens is None else fy * camera.lens.aspect), fy
 
 
-def principal_point(camera: AnyCamera) -> Float[Array, "2"]:
+def principal_point(camera: Camera) -> Float[Array, "2"]:
     """Return the view axis's point on the film, in film coordinates (px)."""
     if camera.lens is not None:
         return camera.lens.principal_point
@@ -382,18 +367,18 @@ def principal_point(camera: AnyCamera) -> Float[Array, "2"]:
     return jnp.asarray(np.array(middle, camera.e.dtype))
 
 
-def film_map(camera: AnyCamera) -> FilmMap:
+def film_map(camera: Camera) -> FilmMap:
     """Return the camera as a map to the film, whose size is 0 where that is data."""
     b1, b2, v = basis(camera.e, camera.p, camera.u)
     fx, fy = focal_px(camera)
     centre = principal_point(camera)
     matrix = jnp.stack([fx * b1 + centre[0] * v, fy * b2 + centre[1] * v, v])
     base = jnp.append(centre, jnp.ones(1, centre.dtype)) * norm(camera.p - camera.e)
-    size = (camera.W, camera.H) if isinstance(camera, Camera) else (0, 0)
+    size = (0, 0) if isinstance(camera, ResizableCamera) else (camera.W, camera.H)
     return FilmMap(camera.e, camera.p, matrix, base, *size, bend(camera))
 
 
-def bend(camera: AnyCamera) -> Bend | None:
+def bend(camera: Camera) -> Bend | None:
     """Return the lens's map from ideal to distorted film points, None without a distortion."""
     if camera.lens is None or camera.lens.distortion is None:
         return None
@@ -406,7 +391,7 @@ def bent(camera: Camera, points: Float[np.ndarray, "*batch 2"]) -> Float[np.ndar
     if camera.distortion is None:
         return points
     points = np.asarray(points, camera.e.dtype)
-    return np.asarray(_bent(ResizableCamera.from_camera(camera), points), float)
+    return np.asarray(_bent(ResizableCamera(camera), points), float)
 
 
 @pointwise
@@ -415,7 +400,7 @@ def _bent(camera: ResizableCamera, points: Array) -> Array:
     return points if lens is None else lens(points)
 
 
-def lens_holds(camera: AnyCamera, part: FilmPart) -> Bool[Array, ""]:
+def lens_holds(camera: Camera, part: FilmPart) -> Bool[Array, ""]:
     """Return True where the distortion's formula counts on all of a part of the film."""
     lens = bend(camera)
     if lens is None:
@@ -445,7 +430,7 @@ def _lens_holds(camera: ResizableCamera) -> Bool[Array, ""]:
 
 def _check_lens(camera: Camera) -> None:
     with jax.ensure_compile_time_eval():
-        if bool(_lens_holds(ResizableCamera.from_camera(camera))):
+        if bool(_lens_holds(ResizableCamera(camera))):
             return
     model = type(camera.distortion).__name__
     raise ValueError(

@@ -27,6 +27,7 @@ from .._numerics.on_devices import spread
 from .._numerics.safe import length, safe_divide, safe_sqrt
 
 Real = Input[ArrayLike, ""]
+Coefficient = Float[Array, ""]
 
 #: The coefficients of all models, in OpenCV's order.
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
@@ -97,11 +98,11 @@ class Distortion(eqx.Module):
 class RadialTangential(Distortion):
     """Brown's models: a radial factor, and tangential terms of a lens off its axis (p1, p2)."""
 
-    k1: Float[Array, ""]
-    k2: Float[Array, ""]
-    p1: Float[Array, ""]
-    p2: Float[Array, ""]
-    k3: Float[Array, ""]
+    k1: Coefficient
+    k2: Coefficient
+    p1: Coefficient
+    p2: Coefficient
+    k3: Coefficient
 
     def radial(self, s: Array) -> Array:
         """Return the radial factor at a squared radius."""
@@ -159,9 +160,9 @@ class Rational(RadialTangential):
 
     powers: ClassVar[Mapping[str, int]] = {**BrownConrady.powers, "k4": 3, "k5": 5, "k6": 7}
 
-    k4: Float[Array, ""]
-    k5: Float[Array, ""]
-    k6: Float[Array, ""]
+    k4: Coefficient
+    k5: Coefficient
+    k6: Coefficient
 
     def __init__(
         self,
@@ -202,10 +203,10 @@ class Fisheye(Distortion):
 
     powers: ClassVar[Mapping[str, int]] = {"k1": 3, "k2": 5, "k3": 7, "k4": 9}
 
-    k1: Float[Array, ""]
-    k2: Float[Array, ""]
-    k3: Float[Array, ""]
-    k4: Float[Array, ""]
+    k1: Coefficient
+    k2: Coefficient
+    k3: Coefficient
+    k4: Coefficient
 
     def __init__(
         self,

@@ -12,7 +12,6 @@ from .._numerics.arrays import ArrayLike, Input, as_array, is_real
 from .._numerics.pointwise import pointwise
 from .._numerics.safe import binary_inverse, safe_divide
 from .camera import (
-    AnyCamera,
     Camera,
     ResizableCamera,
     basis,
@@ -99,7 +98,7 @@ def rays_through(camera: Camera, points: Input[ArrayLike, "*batch 2"]) -> Rays:
     ```
     """
     check_camera(camera)
-    return Rays(camera.e, _directions(ResizableCamera.from_camera(camera), _real_points(points, 2)))
+    return Rays(camera.e, _directions(ResizableCamera(camera), _real_points(points, 2)))
 
 
 def _real_points(points: ArrayLike, size: int) -> Array | np.ndarray:
@@ -121,7 +120,7 @@ def _directions(
 
 
 def directions(
-    camera: AnyCamera, x: Float[Array, "*#batch"], y: Float[Array, "*#batch"]
+    camera: Camera, x: Float[Array, "*#batch"], y: Float[Array, "*#batch"]
 ) -> Float[Array, "*batch 3"]:
     """Return the unit directions `q/|q|` of the rays through film points (x, y) in px."""
     axes = basis(camera.e, camera.p, camera.u)
@@ -165,7 +164,7 @@ def project(camera: Camera, points: Input[ArrayLike, "*batch 3"]) -> Float[Array
     ```
     """
     check_camera(camera)
-    return _projected(ResizableCamera.from_camera(camera), _real_points(points, 3))
+    return _projected(ResizableCamera(camera), _real_points(points, 3))
 
 
 @pointwise

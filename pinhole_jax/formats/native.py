@@ -39,7 +39,7 @@ def camera_to_dict(camera: Camera) -> dict[str, object]:
     ```
     """
     check_camera(camera)
-    lens, pose = camera.lens, _pose(ResizableCamera.from_camera(camera))
+    lens, pose = camera.lens, _pose(ResizableCamera(camera))
     return {
         "schema": CAMERA_SCHEMA,
         **{name: _plain(getattr(camera, name)) for name in ("e", "p", "u", "phi")},
@@ -110,7 +110,7 @@ def _phi(fields: Fields) -> Any:
 
 def _check_pose(camera: Camera, pose: Fields) -> None:
     """Raise ValueError where a file's `pose` contradicts its other fields."""
-    own = [np.asarray(value, float) for value in _pose(ResizableCamera.from_camera(camera))]
+    own = [np.asarray(value, float) for value in _pose(ResizableCamera(camera))]
     eye, view = np.asarray(camera.e, float), np.asarray(camera.p, float)
     far = float(np.max(np.abs([view - eye, eye])))
     # As far as the camera's float type tells a direction from e to p.
