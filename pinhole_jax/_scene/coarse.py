@@ -22,7 +22,7 @@ def seen_from_afar(mesh: Mesh) -> Mesh:
     """Return a mesh of a few ten thousand faces that looks like a fine one, to within a cell.
 
     Coarse meshes are returned as they are. For pictures that are drawn from the edge records
-    (`_mask.thumbnails`) only: edges are in no order.
+    (`_mask.search`) only: edges are in no order.
     """
     if mesh.faces.shape[0] < FINE:
         return mesh

@@ -104,9 +104,7 @@ def without_copies(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
         if not whole[part[own[0]]]:
             continue
         _, first, twice = np.unique(group[own], return_index=True, return_counts=True)
-        if np.all(kept[group[own]]):
-            out[own] = True
-        elif np.all(twice > 1):
+        if np.all(kept[group[own]]) or np.all(twice > 1):
             out[own] = True
             out[own[first]] = kept[group[own[first]]]
         kept[group[own]] = True
