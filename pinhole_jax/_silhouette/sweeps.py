@@ -10,11 +10,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .._numerics.batches import Total
 from .contour import Contour
 from .pieces import Arcs, Monotone, PieceKeys, Pieces, pieces_at
-from .pixels import Pixels, fold_film
-from .sweep import Lines, sweep
+from .pixels import Pixels, Total, fold_film
+from .sweep import Lines, PerLine, PerPixel, sweep
 
 #: Pieces side by side; where a pixel has more, for each possible curve one, but no more than these.
 ROOM, MOST = 1 << 12, 1 << 20
@@ -30,8 +29,8 @@ class VisiblePieces(NamedTuple):
 
     pixel: Int[Array, "N"]
     part: Int[Array, "N"]
-    extent: Float[Array, "N"]
-    moment: Float[Array, "N"]
+    extent: PerLine
+    moment: PerLine
     flux: Float[Array, "N 3 3"] | None
 
 
@@ -39,7 +38,7 @@ class PixelCoverage(NamedTuple):
     """Pixels (past the last: none), their coverage, and the visible pieces in them, if wanted."""
 
     pixel: Int[Array, "P"]
-    area: Float[Array, "P"]
+    area: PerPixel
     seen: VisiblePieces | None
 
 
@@ -108,7 +107,7 @@ def _swept(
     owner: Int[Array, "N"],
     places: PieceKeys,
     pixel: Int[Array, "P"],
-    corner: Float[Array, "P"],
+    corner: PerPixel,
     seen: bool,
 ) -> PixelCoverage:
     """Pixels, from pieces that each have an `owner` among them."""
