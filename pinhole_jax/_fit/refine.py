@@ -48,6 +48,11 @@ class Candidate:
         """The logarithm of the likelihood."""
         return -np.inf if self.account is None else self.account.log
 
+    def overlaps(self) -> bool:
+        """Whether the camera's silhouette is about where the mask is."""
+        sums = self.whole.sums
+        return float(sums.overlap) > RULES.overlap * float(sums.union)
+
     def is_explained(self) -> bool:
         """Whether nearly all of the camera's outline has an edge beside it, or is hidden."""
         return self.account is not None and self.account.missing < RULES.little
@@ -258,11 +263,12 @@ def likeliest(candidates: Sequence[Candidate], alike: int, start: Camera | None)
 
     The first `alike` of them leave equal squares: they stay together unless a person or a network
     drew the mask, whose errors are among those squares. A start is another measurement, and rules
-    out what lies too far from it, unless the likeliest does. (It may be a twin's: what is far from
-    it is no less likely than what it tells from its equal, twice.)
+    out what lies too far from it, unless the likeliest does. It may be a twin's: a camera that
+    overlaps the mask loses no more by it than twice what rules out a mode.
     """
     far = [0.0 if start is None else angle(c.found.camera, start) for c in candidates]
-    less = [min((x / RULES.start) ** 2 / 2, 2 * RULES.as_likely) for x in far]
+    most = [2 * RULES.as_likely if c.overlaps() else np.inf for c in candidates]
+    less = [min((x / RULES.start) ** 2 / 2, y) for x, y in zip(far, most, strict=True)]
     logs = [c.log - x for c, x in zip(candidates, less, strict=True)]
     order = sorted(range(len(logs)), key=lambda k: -logs[k])
     least = logs[order[0]] - RULES.as_likely
