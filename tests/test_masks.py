@@ -181,7 +181,7 @@ REFUSED = {
     "four levels": (RAMP // 64, f"{FLAT} 0, 1, 2, 3; .* `mask_from` label=1 "),
     "dark": (two(7, 0), "no lighter than 7 of 255; labels?"),
     "no alpha": (RAMP, "expected a mask, .* no transparency", {"way": "alpha"}),
-    "label of colours": (RED_GREEN, "mode RGB: labels are grey values", {"way": "label=1"}),
+    "label of colours": (RED_GREEN, "a colour picture: labels are grey values", {"way": "label=1"}),
     "one colour": (BLACK, "a picture of one colour", {"way": "background=black"}),
     "black and white object": (channels(CHEQUER, HARD), EITHER),
     "black object": (255 - SOFT, EITHER, {"how": {"transparency": 255}}),

@@ -1,19 +1,16 @@
-"""A picture's file, opened as nothing but a picture, and its pixels, some rows at a time.
+"""A picture's file, opened as nothing but a picture, and its pixels as arrays.
 
-Pillow's picture takes four bytes a pixel. What is made of it goes band by band, so that a large
-photo never takes more than ten.
+Pillow's picture takes four bytes a pixel, and is closed when its pixels are taken. What is made of
+them goes some rows at a time, so that a large photo never takes more than ten.
 """
 
 import warnings
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from .paths import open_file, reason
-
-#: A PIL.Image.Image; Pillow is imported where a file is read.
-Image = Any
 
 #: What is opened; PPM stands for all of PNM. Other readers of Pillow's start programs
 #: (Ghostscript), or are older than their users.
@@ -25,8 +22,45 @@ BAND = 1 << 18
 MOST_WEBP = 89_478_485
 
 
-def from_picture(path: Any, kind: str, read: Callable[[Image], Any]) -> Any:
-    """Return `read` of an image file's picture, turned upright.
+class Picture(NamedTuple):
+    """The pixels of a picture.
+
+    - `colours` (H, W, 3), uint8: red, green, blue; of a grey picture its brightness, three times.
+    - `opacity` (H, W), uint8: 255 where it hides all; None without transparency.
+    - `numbers` (H, W): grey values of any depth, or the entries of a palette; None where pixels are
+      colours. `is_grey`: they are grey values.
+    """
+
+    colours: np.ndarray
+    opacity: np.ndarray | None
+    numbers: np.ndarray | None
+    is_grey: bool
+
+
+def pixels(image: Any) -> Picture:
+    """Return the pixels of Pillow's picture, and close it.
+
+    Raises ValueError for values that are not finite.
+    """
+    W, H = image.size
+    is_deep, through = image.mode.startswith(("I", "F")), image.has_transparency_data
+    is_grey = is_deep or image.mode in ("1", "L")
+    numbers = np.array(image) if is_grey or image.mode == "P" else None
+    if is_deep and through:  # Pillow compares 16 bits with it after it has made them 8
+        opacity = np.where(numbers == image.info["transparency"], np.uint8(0), np.uint8(255))
+    if is_grey and (is_deep or not through):
+        colours = np.broadcast_to(eight_bits(numbers)[..., None], (H, W, 3))
+    else:
+        mode = "RGBA" if through else "RGB"
+        band = lambda part: image.crop((0, part.start, W, part.stop)).convert(mode)
+        both = by_rows(lambda part: np.asarray(band(part)), (H, W, len(mode)))
+        colours, opacity = both[..., :3], both[..., -1]
+    image.close()
+    return Picture(colours, opacity if through else None, numbers, is_grey)
+
+
+def from_picture(path: Any, kind: str, read: Callable[[Any], Any]) -> Any:
+    """Return `read` of an image file's picture (Pillow's), turned upright.
 
     Raises FileNotFoundError, or ValueError where the file is no such image, or `read` raises it.
     """
@@ -59,44 +93,26 @@ def rows(H: int, W: int) -> Iterator[slice]:
     return (slice(top, min(top + step, H)) for top in range(0, H, step))
 
 
-def bands(image: Image) -> Iterator[tuple[slice, Image]]:
-    """Yield a picture's rows, some at a time, as slices and pictures."""
-    W, H = image.size
-    return ((part, image.crop((0, part.start, W, part.stop))) for part in rows(H, W))
-
-
-def by_bands(
-    image: Image,
-    values: Callable[[Image], np.ndarray],
-    channels: tuple[int, ...] = (),
-    dtype: type = np.uint8,
+def by_rows(
+    values: Callable[[slice], np.ndarray], shape: tuple[int, ...], dtype: type = np.uint8
 ) -> np.ndarray:
-    """Return a function's results for a picture's rows as one array (H, W, *channels)."""
-    W, H = image.size
-    result = np.empty((H, W, *channels), dtype)
-    for part, band in bands(image):
-        result[part] = values(band)
+    """Return an array (H, W, ...) whose rows a function makes, some at a time."""
+    result = np.empty(shape, dtype)
+    for part in rows(*shape[:2]):
+        result[part] = values(part)
     return result
 
 
-def eight_bits(image: Image) -> np.ndarray:
-    """Return a picture's brightness as uint8; more than 8 bits are scaled so that 255 is the
-    largest, and negative values become 0.
+def eight_bits(numbers: np.ndarray) -> np.ndarray:
+    """Return grey values as uint8; more than 8 bits are scaled so that 255 is the largest, and
+    negative values become 0.
 
     Raises ValueError for values that are not finite.
     """
-    if not image.mode.startswith(("I", "F")):
-        return by_bands(image, lambda band: np.asarray(band.convert("L")))
-    ends = np.array([[f(np.asarray(band)) for f in (np.min, np.max)] for _, band in bands(image)])
-    if not np.all(np.isfinite(ends)):
+    if numbers.dtype == np.uint8:
+        return numbers
+    most = float(np.max(numbers))
+    if not np.isfinite([most, np.min(numbers)]).all():
         raise ValueError("NaN or infinity")
-    unit = max(float(np.max(ends)), 1)
-    grey = lambda band: np.round(255 * (np.maximum(np.asarray(band, float), 0) / unit))
-    return by_bands(image, grey)
-
-
-def three_channels(picture: np.ndarray) -> np.ndarray:
-    """Return a picture (H, W) or (H, W, 3 or 4) as (H, W, 3)."""
-    if picture.ndim == 2:
-        return np.repeat(picture[..., None], 3, axis=2)
-    return np.ascontiguousarray(picture[..., :3])
+    share = lambda part: np.maximum(numbers[part].astype(float), 0) / max(most, 1)
+    return by_rows(lambda part: np.round(255 * share(part)), numbers.shape)

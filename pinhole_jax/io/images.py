@@ -1,13 +1,12 @@
 """Pictures: read upright, written as 8 bits, and what their EXIF data say of the camera."""
 
 from io import BytesIO
-from typing import Any
 
 import numpy as np
 
 from .._files.exif import FieldOfView, field_of_view
 from .._files.paths import FilePath, as_path, reason, replace_file
-from .._files.pictures import by_bands, eight_bits, from_picture, three_channels
+from .._files.pictures import from_picture, pixels
 
 #: The most pixels of a picture (Pillow's limit, too: what is written can be read).
 MOST_PIXELS = 178_956_970
@@ -29,15 +28,11 @@ def load_image(path: FilePath, *, rgb: bool = False) -> np.ndarray:
     ```
     """
 
-    def read(image: Any) -> np.ndarray:
-        through = image.has_transparency_data
-        if image.mode.startswith(("I", "F")) or (image.mode in ("1", "L") and not through):
-            return eight_bits(image)
-        mode = "RGBA" if through else "RGB"
-        return by_bands(image, lambda band: np.asarray(band.convert(mode)), (len(mode),))
-
-    image = from_picture(path, "a readable image", read)
-    return three_channels(image) if rgb else image
+    picture = from_picture(path, "a readable image", pixels)
+    if picture.opacity is not None and not rgb:
+        return np.dstack([picture.colours, picture.opacity])
+    is_flat = picture.is_grey and not rgb
+    return np.ascontiguousarray(picture.colours[..., 0] if is_flat else picture.colours)
 
 
 def photo_fov(path: FilePath) -> FieldOfView | None:

@@ -12,21 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._files.paths import FilePath
-from .._files.pictures import Image, bands, by_bands, eight_bits, from_picture
+from .._files.pictures import Picture, by_rows, from_picture, pixels, rows
 from .._mask.target import MOST_BORDER, border_of
 from .labels import labels_in
 from .tidy import SPECK, drop_specks
-from .transparency import (
-    DARK,
-    GREY,
-    LIGHT,
-    colours_at,
-    mask_with_colours,
-    nearest,
-    opacity,
-    ring,
-    shrunk,
-)
+from .transparency import DARK, GREY, LIGHT, mask_with_colours, nearest, ring, shrunk
 
 #: The ways to read a mask, as `mask_from` and the command's `--mask-from` name them.
 WAYS = "alpha, luminance, label=N, background=COLOR (or COLOR,TOLERANCE)"
@@ -79,8 +69,8 @@ def load_mask(
     """
     way = _way(mask_from)
 
-    def read(image: Image) -> MaskReading:
-        found = way(image)
+    def read(image: Any) -> MaskReading:
+        found = way(pixels(image))
         if invert:
             return MaskReading(255 - found.mask, f"{found.words or HAZE}, inverted")
         if mask_from is None:
@@ -100,17 +90,15 @@ class MaskReading(NamedTuple):
     words: str
 
 
-def _way(mask_from: str | None) -> Callable[[Image], MaskReading]:
+def _way(mask_from: str | None) -> Callable[[Picture], MaskReading]:
     """Return the reader of pictures that a user names; None is what is seen at first sight.
 
     Raises ValueError for any other text than `WAYS` has, and for colours of no known name.
     """
     if mask_from is None:
         return _at_first_sight
-    if mask_from == "alpha":
-        return lambda image: MaskReading(opacity(image), ALPHA)
-    if mask_from == "luminance":
-        return lambda image: MaskReading(eight_bits(image), HAZE)
+    if mask_from in ("alpha", "luminance"):
+        return _opacity if mask_from == "alpha" else _luminance
     if found := re.fullmatch(r"label=(\d{1,9})", mask_from):
         return partial(_label, number=int(found[1]))
     if found := re.fullmatch(r"background=(.+?)(?:,(\d+(?:\.\d*)?))?", mask_from):
@@ -133,19 +121,36 @@ def _check_border(read: MaskReading) -> None:
     )
 
 
-def _at_first_sight(image: Image) -> MaskReading:
-    if image.has_transparency_data and (read := _transparent(image)) is not None:
+def _opacity(picture: Picture) -> MaskReading:
+    if picture.opacity is None:
+        raise ValueError("no transparency")
+    return MaskReading(picture.opacity, ALPHA)
+
+
+def _luminance(picture: Picture) -> MaskReading:
+    from PIL import Image
+
+    colours = picture.colours
+    if picture.is_grey:
+        return MaskReading(np.ascontiguousarray(colours[..., 0]), HAZE)
+    grey = lambda part: np.asarray(Image.fromarray(colours[part]).convert("L"))
+    return MaskReading(by_rows(grey, colours.shape[:2]), HAZE)
+
+
+def _at_first_sight(picture: Picture) -> MaskReading:
+    if picture.opacity is not None and (read := _transparent(picture, picture.opacity)) is not None:
         return read
-    is_palette, is_grey = image.mode == "P", image.mode != "P" and _has_numbers(image)
-    numbers = _numbers(image)
-    is_black = not is_palette or not any(image.getpalette()[:3])  # what is 0, as of labels
-    if image.mode in ("L", "P") and numbers.max() == 1 and is_black:
+    colours, _, numbers, is_grey = picture
+    has_bytes = numbers is not None and numbers.dtype == np.uint8
+    if has_bytes and numbers.max() == 1 and not np.any(colours[numbers == 0]):  # 0 is black
         return MaskReading(255 * numbers, "mask: its values 0 and 1")
-    grey = eight_bits(image) if is_grey else by_bands(image, _grey)
+    if not is_grey and np.max(np.ptp(colours, axis=2)) > GREY:
+        raise ValueError(f"a colour picture; say what is the object: {WAYS}")
+    grey = np.ascontiguousarray(colours[..., 0])
     labels = labels_in(numbers if is_grey else grey)
-    if is_palette and len(labels):
+    if numbers is not None and not is_grey and len(labels):
         labels = np.unique(numbers[np.isin(grey, labels)])
-    _check_labels(labels, "values", _has_numbers(image))
+    _check_labels(labels, "values", numbers is not None)
     counts = _counts(grey)
     values = np.flatnonzero(counts)
     low, most = int(values[0]), int(values[-1])
@@ -178,43 +183,34 @@ def _stretched(grey: np.ndarray, values: np.ndarray) -> np.ndarray:
     return np.round(255 * scaled).astype(np.uint8)[grey]
 
 
-def _transparent(image: Image) -> MaskReading | None:
+def _transparent(picture: Picture, opaque: np.ndarray) -> MaskReading | None:
     """Return the mask of a picture whose transparency varies, None where it does not."""
-    opaque = opacity(image)
-    values, words = np.flatnonzero(_counts(opaque)), ALPHA
+    values, words, colours = np.flatnonzero(_counts(opaque)), ALPHA, picture.colours
     if len(values) == 1:
-        if values[0] == 0 and np.ptp(image.convert("RGBA").getextrema()[:3], axis=1).any():
+        if values[0] == 0 and np.any(colours != colours[0, 0]):
             words = "a picture that is transparent everywhere; say what is the object"
             raise ValueError(f"{words}: {WAYS}")
         return None if values[0] else MaskReading(opaque, ALPHA)
     _check_labels(labels_in(opaque), "transparency (alpha) of the values", False)
-    numbers = _numbers(image)
-    is_colour = not _has_numbers(image)
-    labels = labels_in(numbers, opaque > 0)
+    is_colour = picture.numbers is None
+    labels = labels_in(_packed(colours) if is_colour else picture.numbers, opaque > 0)
     _check_labels(labels, "colours" if is_colour else "values", not is_colour)
-    del numbers  # a large picture's are as large as it
     if values[0] > 0 or values[-1] < 255:
         words = f"{ALPHA}, its values {values[0]} to {values[-1]}"
         if len(values) > 2 and values[-1] < DARK:
             raise ValueError(f"transparency (alpha) of at most {values[-1]} of 255; labels? {WAYS}")
         opaque = _stretched(opaque, values)
-    mask = mask_with_colours(image, opaque)
+    mask = mask_with_colours(colours, opaque)
     return MaskReading(opaque, words) if mask is None else MaskReading(mask, BOTH)
 
 
-def _numbers(image: Image) -> np.ndarray:
-    """Return a number for each pixel: its value, or its colour (0xrrggbb) behind its brightness."""
-
-    def packed(band: Image) -> np.ndarray:
-        colours = np.asarray(band.convert("RGB")).astype(np.uint32)
-        return (colours.max(axis=-1) << 24) | (colours @ np.array([1 << 16, 1 << 8, 1], np.uint32))
-
-    return np.asarray(image) if _has_numbers(image) else by_bands(image, packed, dtype=np.uint32)
-
-
-def _has_numbers(image: Image) -> bool:
-    """Return True where a pixel is one number."""
-    return image.mode in ("1", "L", "P") or image.mode.startswith(("I", "F"))
+def _packed(colours: np.ndarray) -> np.ndarray:
+    """Return each pixel's colour as a number: 0xrrggbb behind its brightness."""
+    places = np.array([1 << 16, 1 << 8, 1], np.uint32)
+    number = lambda part: (
+        colours[part].max(axis=-1).astype(np.uint32) << 24 | colours[part] @ places
+    )
+    return by_rows(number, colours.shape[:2], np.uint32)
 
 
 def _check_labels(labels: np.ndarray, kind: str, is_pickable: bool) -> None:
@@ -239,19 +235,12 @@ def _listed(values: Any) -> str:
     return ", ".join(names) + ", ..." * (len(values) > 12)
 
 
-def _grey(band: Image) -> np.ndarray:
-    """Return a channel of a picture whose channels are alike."""
-    colours = np.asarray(band.convert("RGB"))
-    if np.max(np.ptp(colours, axis=2)) > GREY:
-        raise ValueError(f"a colour picture; say what is the object: {WAYS}")
-    return colours[..., 0]
-
-
-def _label(image: Image, number: int) -> MaskReading:
-    if not _has_numbers(image):
-        raise ValueError(f"a picture of mode {image.mode}: labels are grey values or a palette's")
-    mask = by_bands(image, lambda band: np.where(np.asarray(band) == number, 255, 0))
-    values = np.unique(np.concatenate([np.unique(np.asarray(band)) for _, band in bands(image)]))
+def _label(picture: Picture, number: int) -> MaskReading:
+    numbers = picture.numbers
+    if numbers is None:
+        raise ValueError("a colour picture: labels are grey values or a palette's")
+    mask = np.where(numbers == number, np.uint8(255), np.uint8(0))
+    values = np.unique(np.concatenate([np.unique(numbers[part]) for part in rows(*numbers.shape)]))
     if number not in values:
         raise ValueError(f"no pixel with the label {number}; there are {_listed(values)}")
     share = np.count_nonzero(mask) / mask.size
@@ -262,7 +251,9 @@ def _label(image: Image, number: int) -> MaskReading:
     return MaskReading(mask, words)
 
 
-def _background(image: Image, back: np.ndarray, name: str, tolerance: float | None) -> MaskReading:
+def _background(
+    picture: Picture, back: np.ndarray, name: str, tolerance: float | None
+) -> MaskReading:
     """Return a mask of pixels that differ from a colour by more than a tolerance (CIE Lab).
 
     Without one, Otsu's threshold parts near from far. Specks and pinholes are dropped, and the
@@ -271,8 +262,9 @@ def _background(image: Image, back: np.ndarray, name: str, tolerance: float | No
     from skimage.color import rgb2lab
     from skimage.filters import threshold_otsu
 
-    off = lambda band: rgb2lab(np.asarray(band.convert("RGB"))) - rgb2lab(back[None, None] / 255)
-    distance = by_bands(image, lambda band: np.linalg.norm(off(band), axis=-1), dtype=np.float32)
+    colours, centre = picture.colours, rgb2lab(back[None, None] / 255)
+    off = lambda part: np.linalg.norm(rgb2lab(colours[part]) - centre, axis=-1)
+    distance = by_rows(off, colours.shape[:2], np.float32)
     if np.ptp(distance) == 0:
         raise ValueError("a picture of one colour")
     step = int(np.ceil(np.sqrt(distance.size / SAMPLE)))
@@ -286,10 +278,10 @@ def _background(image: Image, back: np.ndarray, name: str, tolerance: float | No
         f"mask: what differs from {name} by more than {limit:.1f} in CIE Lab ({how}),"
         f" {share:.1%} of the picture, soft edges from mixed colours"
     )
-    return MaskReading(_with_soft_edges(inside, image, back), words)
+    return MaskReading(_with_soft_edges(inside, colours, back), words)
 
 
-def _with_soft_edges(inside: np.ndarray, image: Image, back: np.ndarray) -> np.ndarray:
+def _with_soft_edges(inside: np.ndarray, colours: np.ndarray, back: np.ndarray) -> np.ndarray:
     """Return a hard mask as uint8 with soft edges.
 
     A pixel beside the edge is a mixture of the background and the object's nearest colour. Its
@@ -297,10 +289,10 @@ def _with_soft_edges(inside: np.ndarray, image: Image, back: np.ndarray) -> np.n
     """
     deep, far = shrunk(inside, BAND_PX), shrunk(~inside, BAND_PX)
     places = np.argwhere(~(deep | far))
-    pixels, _ = nearest(ring(deep, 0), places)
+    near, _ = nearest(ring(deep, 0), places)
     mask = np.where(inside, np.uint8(255), np.uint8(0))
     if np.any(deep) and len(places):
-        whole, mixed = (colours_at(image, x) - back for x in (pixels, places))
+        whole, mixed = (colours[tuple(x.T)] - back for x in (near, places))
         size = np.maximum(np.sum(whole**2, axis=-1), 1e-2)
         share = np.clip(np.sum(mixed * whole, axis=-1) / size, 0, 1)
         mask[tuple(places.T)] = np.round(255 * share)

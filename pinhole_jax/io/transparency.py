@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from .._files.pictures import Image, bands, by_bands, eight_bits, rows
+from .._files.pictures import by_rows, rows
 
 #: Values (of 255) between these are the in-between of an edge.
 DARK, LIGHT = 26, 229
@@ -22,19 +22,7 @@ MOST_PLACES = 4096
 SAME_PX = 0.02
 
 
-def opacity(image: Image) -> np.ndarray:
-    """Return the opacity of each pixel (H, W), 255 where it hides all.
-
-    Raises ValueError for a picture without transparency.
-    """
-    if not image.has_transparency_data:
-        raise ValueError("no transparency")
-    if image.mode.startswith("I"):  # Pillow compares 16 bits with it after it has made them 8
-        return np.where(np.asarray(image) == image.info["transparency"], np.uint8(0), np.uint8(255))
-    return by_bands(image, lambda band: np.asarray(band.convert("RGBA"))[..., 3])
-
-
-def mask_with_colours(image: Image, opaque: np.ndarray) -> np.ndarray | None:
+def mask_with_colours(colours: np.ndarray, opaque: np.ndarray) -> np.ndarray | None:
     """Return the mask (H, W) that transparency and colours make together. None where transparency
     alone is the mask: one colour, premultiplied or not, or an object cut out of a photo.
 
@@ -42,7 +30,7 @@ def mask_with_colours(image: Image, opaque: np.ndarray) -> np.ndarray | None:
 
     Raises ValueError where each may be the mask.
     """
-    shade = _shade(image, opaque)
+    shade = _shade(colours, opaque)
     if shade is not None:
         if _is_same(opaque, shade):
             return None
@@ -59,7 +47,7 @@ def mask_with_colours(image: Image, opaque: np.ndarray) -> np.ndarray | None:
                 "transparency and colours that disagree; give `mask_from` alpha (--mask-from"
                 " alpha) or `mask_from` luminance (--mask-from luminance), whichever is the object"
             )
-    if _fades(image, opaque):
+    if _fades(colours, opaque):
         raise ValueError(
             "transparency that is all or nothing, and colours that hold a soft edge, too: the"
             " outline of the transparency is too far out; save the soft edge as transparency, or"
@@ -69,7 +57,7 @@ def mask_with_colours(image: Image, opaque: np.ndarray) -> np.ndarray | None:
     return None
 
 
-def _fades(image: Image, opaque: np.ndarray) -> bool:
+def _fades(colours: np.ndarray, opaque: np.ndarray) -> bool:
     """Return True for an object of many colours that go over into the background's, of one colour,
     within the last pixels of a hard edge.
 
@@ -86,9 +74,9 @@ def _fades(image: Image, opaque: np.ndarray) -> bool:
     known = np.all([distance < NEAR_PX for _, distance in found], axis=0)
     if np.count_nonzero(known) < max(16, len(places) // 2):
         return False
-    colours = [colours_at(image, points[known]) for points, _ in found]
-    back = np.median(colours[0], axis=0)
-    off, at_edge, near, deep = (np.linalg.norm(x - back, axis=1) for x in colours)
+    seen_there = [colours[tuple(points[known].T)].astype(float) for points, _ in found]
+    back = np.median(seen_there[0], axis=0)
+    off, at_edge, near, deep = (np.linalg.norm(x - back, axis=1) for x in seen_there)
     if np.mean(off > GREY) > FEW or np.median(near) <= GREY or np.mean(near) < 0.9 * np.mean(deep):
         return False
     low, middle, high = np.quantile(at_edge / np.maximum(near, 1), (0.25, 0.5, 0.9))
@@ -120,38 +108,23 @@ def nearest(pixels: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndar
     return points[index], distance
 
 
-def colours_at(image: Image, places: np.ndarray) -> np.ndarray:
-    """Return the colours (n, 3) of some pixels (n, 2)."""
-    result = np.zeros((len(places), 3), np.float32)
-    for part, band in bands(image):
-        here = (places[:, 0] >= part.start) & (places[:, 0] < part.stop)
-        result[here] = _colours(band)[tuple((places[here] - (part.start, 0)).T)]
-    return result
-
-
-def _shade(image: Image, opaque: np.ndarray) -> np.ndarray | None:
+def _shade(colours: np.ndarray, opaque: np.ndarray) -> np.ndarray | None:
     """Return the lightness of each pixel (H, W), 255 for the lightest that is seen; None where the
     pixels that are seen have more than one hue."""
-    if image.mode.startswith("I"):
-        return eight_bits(image)
-    lightest = np.zeros(3)
-    for part, band in bands(image):
-        colours = _colours(band) * (opaque[part] > 0)[..., None]
-        lightest = max(lightest, colours.reshape(-1, 3)[np.argmax(colours.sum(-1))], key=np.sum)
-    if not np.any(lightest):
+    brightness = np.sum(colours, axis=-1, dtype=np.uint16) * (opaque > 0)
+    lightest = colours[np.unravel_index(np.argmax(brightness), opaque.shape)].astype(np.float32)
+    if not np.any(brightness):
         return np.full_like(opaque, 255)
-    shade, other = np.empty_like(opaque), 0
-    for part, band in bands(image):
-        colours = _colours(band)
-        share = colours @ lightest / (lightest @ lightest)
-        shade[part] = np.round(255 * np.clip(share, 0, 1))
-        far = np.max(np.abs(colours - share[..., None] * lightest), axis=-1) > GREY
-        other += np.count_nonzero(far & (opaque[part] > 0))
-    return None if other > FEW * np.count_nonzero(opaque) else shade
+    unit, off = lightest / (lightest @ lightest), np.zeros(opaque.shape, bool)
 
+    def shade(part: slice) -> np.ndarray:
+        share = colours[part] @ unit
+        off[part] = np.max(np.abs(colours[part] - share[..., None] * lightest), axis=-1) > GREY
+        return np.round(255 * np.clip(share, 0, 1))
 
-def _colours(band: Image) -> np.ndarray:
-    return np.asarray(band.convert("RGBA"))[..., :3].astype(np.float32)
+    shades = by_rows(shade, opaque.shape)
+    seen = opaque > 0
+    return None if np.count_nonzero(off & seen) > FEW * np.count_nonzero(seen) else shades
 
 
 def _is_same(opaque: np.ndarray, shade: np.ndarray) -> bool:
