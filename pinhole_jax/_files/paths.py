@@ -67,40 +67,25 @@ def is_folder(path: Any) -> bool:
         return False
 
 
-def existing_file(path: Any, kind: str) -> Path:
-    """Return the path of a file that `open_file` opens."""
-    open_file(path, kind, None).close()
-    return as_path(path)
-
-
-def open_file(path: Any, kind: str, most: int | None = MOST_BYTES) -> BinaryIO:
+def open_file(path: Any, kind: str, most: int = MOST_BYTES) -> BinaryIO:
     """Return a regular file of at most this many bytes, open for reading.
 
     Raises FileNotFoundError, or ValueError where it is no regular file, too large or out of reach.
     """
-    file, handle = as_path(path), None
+    file = as_path(path)
     try:
         with _refusal(path, kind, FileNotFoundError):  # no permission, a name too long, a zero byte
-            handle = os.open(file, os.O_RDONLY | NO_WAIT)
-            found = os.fstat(handle)
-            if not stat.S_ISREG(found.st_mode):
-                raise ValueError(
-                    "a folder" if stat.S_ISDIR(found.st_mode) else "not a regular file"
-                )
-            if most is not None and found.st_size > most:
+            _check_file(file)
+            if file.stat().st_size > most:
                 raise ValueError(f"more than {most} bytes")
-            stream, handle = os.fdopen(handle, "rb"), None
-            return stream
+            return os.fdopen(os.open(file, os.O_RDONLY | NO_WAIT), "rb")
     except FileNotFoundError:
         words = f"`path`: expected {kind}, got {str(path)!r}: no such file"
         raise FileNotFoundError(words) from None
-    finally:
-        if handle is not None:
-            os.close(handle)
 
 
 def read_bytes(path: Any, kind: str, most: int = MOST_BYTES) -> bytes:
-    """Return a file's contents, or raise as `existing_file`."""
+    """Return a file's contents, or raise as `open_file`."""
     with open_file(path, kind, most) as stream, _refusal(path, kind):
         size = os.fstat(stream.fileno()).st_size or MOST_BYTES
         data = stream.read(min(size, most) + 1)
@@ -110,7 +95,7 @@ def read_bytes(path: Any, kind: str, most: int = MOST_BYTES) -> bytes:
 
 
 def read_text(path: Any, kind: str, most: int = MOST_BYTES) -> str:
-    """Return a text file's contents, or raise as `existing_file`, and where it is not UTF-8."""
+    """Return a text file's contents, or raise as `open_file`, and where it is not UTF-8."""
     return decode_text(read_bytes(path, kind, most), path)
 
 
@@ -123,7 +108,7 @@ def decode_text(data: bytes, path: Any, kind: str = "text") -> str:
 
 
 def read_json(path: Any, kind: str, most: int = MOST_BYTES) -> Any:
-    """Return the data of a JSON file, or raise as `existing_file` and `parse_json`."""
+    """Return the data of a JSON file, or raise as `open_file` and `parse_json`."""
     return parse_json(decode_text(read_bytes(path, kind, most), path, "JSON"), path)
 
 
@@ -184,7 +169,7 @@ def replace_file(path: Any, data: bytes | Iterable[bytes], *, lasting: bool = Fa
         if is_stream(target):
             _write_through(target, data)
         else:
-            _check_replaceable(target)
+            _check_file(target)
             _replace(target, data, lasting)
 
 
@@ -195,7 +180,7 @@ def check_writable(path: Any) -> None:
     with _refusal(path, "a file to write"):
         if is_stream(target):
             return
-        _check_replaceable(target)
+        _check_file(target)
         made = [folder for folder in target.parents if not folder.exists()]
         trial = target.parent / f"tmp{secrets.token_hex(8)}"
         _replace(trial, [b""], lasting=False)
@@ -223,7 +208,8 @@ def reason(error: Exception) -> str:
     return re.sub(r"\s*<_io\.[^>]*>", "", first)  # how a reader calls the stream that it was given
 
 
-def _check_replaceable(target: Path) -> None:
+def _check_file(target: Path) -> None:
+    """Raise ValueError where there is something else than a file, or nothing."""
     if (kind := _kind(target)) not in (None, "a file"):
         raise ValueError(kind)
 

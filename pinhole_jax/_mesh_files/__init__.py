@@ -8,7 +8,7 @@ from pathlib import Path
 
 from .._files.paths import read_bytes
 from .dae import read_dae
-from .glb import MOST_BYTES
+from .glb import MOST_BYTES as MOST_BYTES
 from .gltf_mesh import read_gltf_mesh
 from .obj import read_obj
 from .off import read_off

@@ -8,7 +8,7 @@ import numpy as np
 from .._camera.camera import Camera
 from .._camera.matrices import Centres
 from .._files.fields import Fields, Size
-from .._files.paths import FilePath, existing_file, file_and_name, is_folder, read_json
+from .._files.paths import FilePath, file_and_name, is_folder, read_json
 from .._numerics.arrays import Input
 from .colmap import colmap_intrinsics
 from .native import camera_from_fields
@@ -55,7 +55,6 @@ def read_intrinsics(
     if is_folder(place):
         models = (place / model for model in COLMAP)
         place = next((model for model in models if model.exists()), place / COLMAP[-1])
-    existing_file(place, KIND)
     if place.name in COLMAP:
         return _unplaced(*chosen(colmap_intrinsics(place), name, repr(str(place))))
     fields = _fields(place, name)

@@ -151,11 +151,10 @@ def _at_first_sight(picture: Picture) -> MaskReading:
     if numbers is not None and not is_grey and len(labels):
         labels = np.unique(numbers[np.isin(grey, labels)])
     _check_labels(labels, "values", numbers is not None)
-    counts = _counts(grey)
-    values = np.flatnonzero(counts)
+    values, counts = np.unique(grey, return_counts=True)
     low, most = int(values[0]), int(values[-1])
-    between = counts[DARK : LIGHT + 1].sum()
-    if between > counts[LIGHT + 1 :].sum():
+    between = counts[(values >= DARK) & (values <= LIGHT)].sum()
+    if between > counts[values > LIGHT].sum():
         raise ValueError(
             f"a grey picture in which {between / grey.size:.0%} of the pixels are neither black nor"
             f" white; say what is the object: {WAYS}"
@@ -169,13 +168,6 @@ def _at_first_sight(picture: Picture) -> MaskReading:
     return MaskReading(grey, hazy if low > MOST_HAZE else "")
 
 
-def _counts(grey: np.ndarray) -> np.ndarray:
-    """Return the number of pixels of each value, 0 to 255."""
-    from PIL import Image as pillow
-
-    return np.array(pillow.fromarray(grey).histogram())
-
-
 def _stretched(grey: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return a picture scaled so that its largest value is 255; its two values as 0 and 255."""
     steps, most = np.arange(256), values[-1]
@@ -185,7 +177,7 @@ def _stretched(grey: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 def _transparent(picture: Picture, opaque: np.ndarray) -> MaskReading | None:
     """Return the mask of a picture whose transparency varies, None where it does not."""
-    values, words, colours = np.flatnonzero(_counts(opaque)), ALPHA, picture.colours
+    values, words, colours = np.unique(opaque), ALPHA, picture.colours
     if len(values) == 1:
         if values[0] == 0 and np.any(colours != colours[0, 0]):
             words = "a picture that is transparent everywhere; say what is the object"

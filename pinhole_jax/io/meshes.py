@@ -5,8 +5,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .._files.paths import FilePath, existing_file, reason
-from .._mesh_files import MESH_ENDINGS, check_corners, read_polygons, triangulate
+from .._files.paths import FilePath, as_path, open_file, reason
+from .._mesh_files import MESH_ENDINGS, MOST_BYTES, check_corners, read_polygons, triangulate
 from .._scene.scene import Mesh, rounding_warning
 from .._scene.topology import by_place
 
@@ -45,7 +45,8 @@ def load_mesh(path: FilePath, say: Callable[[str], object] | None = None) -> Mes
     mesh = pj.load_mesh("part.off")
     ```
     """
-    file = existing_file(path, "a mesh file")
+    open_file(path, "a mesh file", MOST_BYTES).close()
+    file = as_path(path)
     if file.suffix.lower() not in MESH_ENDINGS:
         words = f"expected one of {', '.join(MESH_ENDINGS)}, got {file.name!r}"
         hint = "; export it as STL" if file.suffix.lower() in SOLIDS else ""
