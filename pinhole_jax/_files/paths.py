@@ -114,7 +114,7 @@ def read_json(path: Any, kind: str, most: int = MOST_BYTES) -> Any:
 
 def parse_json(text: str, path: Any, kind: str = "JSON") -> Any:
     """Return the data of a file's JSON text; ValueError where it is none or names a field twice."""
-    return parse_data(lambda: json.loads(text, object_pairs_hook=_object), path, kind)
+    return parse_data(lambda: json.loads(text, object_pairs_hook=as_fields), path, kind)
 
 
 def parse_data(parse: Callable[[], Any], path: Any, kind: str) -> Any:
@@ -219,10 +219,14 @@ def _name(path: Any) -> str:
     return words if len(words) < 300 else words[:99] + "..."
 
 
-def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    if (twice := first_repeat(name for name, _ in pairs)) is not None:
-        raise ValueError(f"the field {twice[:60]!r} twice")
-    return dict(pairs)
+def as_fields(pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+    """Return named values as a dict, or raise ValueError where a name comes again."""
+    fields: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in fields:
+            raise ValueError(f"the field {name[:60]!r} twice")
+        fields[name] = value
+    return fields
 
 
 def first_repeat(names: Iterable[Name]) -> Name | None:

@@ -13,7 +13,7 @@ import yaml
 from .._files.fields import Fields, as_numbers, short
 from .._files.paths import (
     FilePath,
-    first_repeat,
+    as_fields,
     parse_data,
     parse_json,
     parse_xml,
@@ -26,28 +26,6 @@ MOST_YAML = 1 << 20
 INTEGER = re.compile(r"[-+]?\d{1,18}")
 NUMBER = re.compile(r"[-+]?(?:\d++\.?\d*+|\.\d++)(?:[eE][-+]?\d++)?")
 PIECES = re.compile(r'"[^"]*+"?|[^\s"]++')
-
-
-class _Loader(yaml.CSafeLoader):
-    """Plain values alone: a tag stands for the value that it is on, whatever its name."""
-
-    def value(self, node: yaml.Node) -> Any:
-        """Return a node's value; a map has each field once."""
-        if isinstance(node, yaml.ScalarNode):
-            return node.value if node.style else _scalar(node.value)
-        if isinstance(node, yaml.SequenceNode):
-            return self.construct_sequence(node, deep=True)
-        assert isinstance(node, yaml.MappingNode)
-        if twice := first_repeat(str(key.value) for key, _ in node.value):
-            raise _wrong(f"the field {short(twice)} twice", node)
-        return self.construct_mapping(node, deep=True)
-
-    yaml_implicit_resolvers = {}  # noqa: RUF012
-    yaml_constructors = {None: value}  # noqa: RUF012
-
-
-def _wrong(words: str, part: yaml.Node | yaml.Event) -> yaml.MarkedYAMLError:
-    return yaml.MarkedYAMLError(problem=words, problem_mark=part.start_mark)
 
 
 def load(path: FilePath) -> Fields:
@@ -70,10 +48,10 @@ def _parse_yaml(text: str) -> Any:
         raise ValueError(f"more than {MOST_YAML} characters")
     plain = re.sub(r"\A\s*%YAML:.*", "", text)
     try:
-        for event in yaml.parse(plain, _Loader):  # by aliases a small file grows without bound
+        for event in yaml.parse(plain, yaml.CBaseLoader):  # small files grow by them without bound
             if isinstance(event, yaml.AliasEvent):
-                raise _wrong("an alias (*name), which is not read", event)
-        return yaml.load(plain, _Loader)
+                raise ValueError("an alias (*name), which is not read")
+        return _yaml_value(yaml.compose(plain, yaml.CBaseLoader))
     except yaml.MarkedYAMLError as error:
         mark = error.context_mark or error.problem_mark
         line = 0 if mark is None else mark.line
@@ -84,15 +62,23 @@ def _parse_yaml(text: str) -> Any:
     raise ValueError(words[:400])
 
 
+def _yaml_value(node: yaml.Node | None) -> Any:
+    """Return a node's value, whatever its tag."""
+    if isinstance(node, yaml.MappingNode):
+        return as_fields((str(key.value), _yaml_value(value)) for key, value in node.value)
+    if isinstance(node, yaml.SequenceNode):
+        return [*map(_yaml_value, node.value)]
+    return node and (node.value if node.style else _scalar(node.value))
+
+
 def _xml_value(element: ET.Element) -> Any:
     """Return an element's value: a map of its children, a list, a text or a number."""
-    names, values = [child.tag for child in element], [*map(_xml_value, element)]
-    if twice := first_repeat(name for name in names if name != "_"):
-        raise ValueError(f"the field {short(twice)} twice")
-    if {*names} - {"_"}:
-        return dict(zip(names, values, strict=True))
+    parts = [(child.tag, _xml_value(child)) for child in element]
+    if {name for name, _ in parts} - {"_"}:
+        return as_fields(parts)
+    values = [value for _, value in parts]
     values += [_scalar(word) for word in PIECES.findall(element.text or "")]
-    return values[0] if len(values) == 1 and not names else values
+    return values[0] if len(values) == 1 and not parts else values
 
 
 def _scalar(text: str) -> Any:
