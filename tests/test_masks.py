@@ -316,8 +316,9 @@ def test_background_colour_gives_partial_coverage_at_edges(tmp_path, way):
     ],
 )
 def test_run_lengths_that_are_none_are_refused(rle, words):
-    with refusal(f"`rle`: .*{words}"):
+    with refusal(words) as caught:
         io.mask_of_rle(rle)
+    assert "`rle`" in str(caught.value)
 
 
 @pytest.mark.parametrize("quality", [10, 75, 100])

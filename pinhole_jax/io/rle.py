@@ -2,12 +2,11 @@
 
 from collections.abc import Mapping
 from reprlib import repr as brief
-from typing import Any
 
 import numpy as np
 from jaxtyping import UInt8
 
-from .._files.fields import as_numbers
+from .._files.fields import Fields
 from .._numerics.arrays import Input
 from .images import MOST_PIXELS
 
@@ -29,28 +28,19 @@ def mask_of_rle(rle: Input[Mapping[str, object], "size, counts"]) -> UInt8[np.nd
         words = f"expected run lengths with `size` and `counts`, got {brief(rle)}"
         hint = "give one of a list; pycocotools makes them of polygons (mask.frPyObjects)"
         raise ValueError(f"`rle`: {words}; {hint}")
-    size, counts = _counts(rle["size"]), rle["counts"]
-    if size is None or len(size) != 2 or not 0 < size[0] * size[1] <= MOST_PIXELS:
-        raise ValueError(f"`rle`: expected `size` [H, W], got {brief(rle['size'])}")
-    H, W = map(int, size)
-    if isinstance(counts, bytes):
-        counts = counts.decode("latin-1")
-    runs = _counts(_counts_of_text(counts) if isinstance(counts, str) else counts)
-    if runs is None:
-        words = "expected `counts`, whole numbers of at least 0, or pycocotools' text or bytes"
-        raise ValueError(f"`rle`: {words}, got {brief(counts)}")
+    fields, counts = Fields(rle, "`rle`"), rle["counts"]
+    size = fields.counts("size", "[H, W]")
+    if len(size) != 2 or not 0 < size[0] * size[1] <= MOST_PIXELS:
+        raise fields.wrong("size", "[H, W]", size)
+    H, W = size
+    text = counts.decode("latin-1") if isinstance(counts, bytes) else counts
+    if isinstance(text, str):
+        fields = Fields({"counts": _counts_of_text(text)}, "`rle`")
+    runs = np.array(fields.counts("counts", "whole numbers of at least 0, or pycocotools' text"))
     if np.sum(runs) != H * W:
-        raise ValueError(f"`rle`: expected runs of {H * W} pixels, got {np.sum(runs):.0f}")
+        raise fields.wrong("counts", f"runs of {H * W} pixels", f"{np.sum(runs)}")
     values = np.arange(len(runs), dtype=np.uint8) % 2 * 255
-    return np.ascontiguousarray(np.repeat(values, runs.astype(int)).reshape(W, H).T)
-
-
-def _counts(values: Any) -> np.ndarray | None:
-    """Return the values as an array of whole numbers of at least 0, or None if they are not."""
-    numbers = as_numbers(values)
-    if numbers is None or numbers.ndim != 1:
-        return None
-    return numbers if np.all(numbers >= 0) and not np.any(numbers % 1) else None
+    return np.ascontiguousarray(np.repeat(values, runs).reshape(W, H).T)
 
 
 def _counts_of_text(text: str) -> list[int]:
