@@ -73,20 +73,20 @@ def open_file(path: Any, kind: str, most: int = MOST_BYTES) -> BinaryIO:
     Raises FileNotFoundError, or ValueError where it is no regular file, too large or out of reach.
     """
     file = as_path(path)
-    try:
-        with _refusal(path, kind, FileNotFoundError):  # no permission, a name too long, a zero byte
-            _check_file(file)
+    with refusal(path, kind):  # no permission, a name too long, a zero byte
+        found = _kind(file)
+        if found == "a file":
             if file.stat().st_size > most:
                 raise ValueError(f"more than {most} bytes")
             return os.fdopen(os.open(file, os.O_RDONLY | NO_WAIT), "rb")
-    except FileNotFoundError:
-        words = f"`path`: expected {kind}, got {str(path)!r}: no such file"
-        raise FileNotFoundError(words) from None
+        if found:
+            raise ValueError(found)
+    raise FileNotFoundError(f"`path`: expected {kind}, got {str(path)!r}: no such file")
 
 
 def read_bytes(path: Any, kind: str, most: int = MOST_BYTES) -> bytes:
     """Return a file's contents, or raise as `open_file`."""
-    with open_file(path, kind, most) as stream, _refusal(path, kind):
+    with open_file(path, kind, most) as stream, refusal(path, kind):
         size = os.fstat(stream.fileno()).st_size or MOST_BYTES
         data = stream.read(min(size, most) + 1)
         if len(data) > most:  # one that grows, or does not tell its size
@@ -120,7 +120,7 @@ def parse_json(text: str, path: Any, kind: str = "JSON") -> Any:
 def parse_data(parse: Callable[[], Any], path: Any, kind: str) -> Any:
     """Return the data that a file's parser makes; ValueError where they have more than
     `MOST_DEPTH` levels, or the parser raises it."""
-    with _refusal(path, kind):
+    with refusal(path, kind):
         with suppress(RecursionError):  # deeper than Python goes
             data = parse()
             if not is_deep(data):
@@ -136,7 +136,7 @@ def parse_xml(data: bytes | str, path: Any, kind: str = "XML") -> ET.Element:
     builder, parser = ET.TreeBuilder(), expat.ParserCreate()
     parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
     parser.CharacterDataHandler, parser.StartDoctypeDeclHandler = builder.data, _doctype
-    with _refusal(path, kind):
+    with refusal(path, kind):
         parser.Parse(data, True)
     return builder.close()
 
@@ -165,11 +165,11 @@ def replace_file(path: Any, data: bytes | Iterable[bytes], *, lasting: bool = Fa
     Raises ValueError for folders, devices and sockets, and for what cannot be written.
     """
     target, data = as_path(path), [data] if isinstance(data, bytes) else data
-    with _refusal(path, "a file to write"):
+    with refusal(path, "a file to write"):
         if is_stream(target):
             _write_through(target, data)
         else:
-            _check_file(target)
+            _check_replaceable(target)
             _replace(target, data, lasting)
 
 
@@ -177,10 +177,10 @@ def check_writable(path: Any) -> None:
     """Raise ValueError, as `replace_file` would, where a file cannot be written: folders are made
     and a file is written there, and both are removed again."""
     target = as_path(path)
-    with _refusal(path, "a file to write"):
+    with refusal(path, "a file to write"):
         if is_stream(target):
             return
-        _check_file(target)
+        _check_replaceable(target)
         made = [folder for folder in target.parents if not folder.exists()]
         trial = target.parent / f"tmp{secrets.token_hex(8)}"
         _replace(trial, [b""], lasting=False)
@@ -190,13 +190,12 @@ def check_writable(path: Any) -> None:
 
 
 @contextmanager
-def _refusal(path: Any, kind: str, *passed: type[Exception]) -> Iterator[None]:
-    """Raise ValueError with the path and the `kind` of file that was expected, for any reason."""
+def refusal(path: Any, kind: str, *others: type[Exception]) -> Iterator[None]:
+    """Raise ValueError with the path and the `kind` of file that was expected, for any reason that
+    files have, and for `others`."""
     try:
         yield
-    except passed:
-        raise
-    except (OSError, ValueError, expat.ExpatError) as error:
+    except (OSError, ValueError, expat.ExpatError, *others) as error:
         words = f"`path`: expected {kind}, got {_name(path)}: {reason(error)}"
         raise ValueError(words) from error
 
@@ -208,8 +207,7 @@ def reason(error: Exception) -> str:
     return re.sub(r"\s*<_io\.[^>]*>", "", first)  # how a reader calls the stream that it was given
 
 
-def _check_file(target: Path) -> None:
-    """Raise ValueError where there is something else than a file, or nothing."""
+def _check_replaceable(target: Path) -> None:
     if (kind := _kind(target)) not in (None, "a file"):
         raise ValueError(kind)
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .paths import open_file, reason
+from .paths import open_file, refusal
 
 #: What is opened; PPM stands for all of PNM. Other readers of Pillow's start programs
 #: (Ghostscript), or are older than their users.
@@ -67,24 +67,20 @@ def from_picture(path: Any, kind: str, read: Callable[[Any], Any]) -> Any:
     from PIL import Image, ImageOps
 
     with open_file(path, "an image file", MOST_BYTES) as stream:
-        try:
-            # What Pillow warns of (sizes it would still read, odd metadata) is no harm here.
-            with warnings.catch_warnings(action="ignore"):
-                image = Image.open(stream, formats=FORMATS)
-                if image.format == "WEBP" and image.width * image.height > MOST_WEBP:
-                    raise ValueError(f"a WebP of more than {MOST_WEBP} pixels")
-                bottoms = [box[3] for _, box, *_ in image.tile if box]
-                if max(bottoms, default=image.height) < image.height:
-                    raise ValueError("rows are missing")  # (a TIFF's count may be wrong)
-                ImageOps.exif_transpose(image, in_place=True)  # upright
-                image.load()
-        except Exception as error:  # the readers raise whatever they meet
-            words = f"a readable image ({', '.join(FORMATS)}), got {str(path)!r}"
-            raise ValueError(f"`path`: expected {words}: {reason(error)}") from error
-        try:
+        # The readers raise whatever they meet. What Pillow warns of (sizes it would still read, odd
+        # metadata) is no harm here.
+        readable = refusal(path, f"a readable image ({', '.join(FORMATS)})", Exception)
+        with readable, warnings.catch_warnings(action="ignore"):
+            image = Image.open(stream, formats=FORMATS)
+            if image.format == "WEBP" and image.width * image.height > MOST_WEBP:
+                raise ValueError(f"a WebP of more than {MOST_WEBP} pixels")
+            bottoms = [box[3] for _, box, *_ in image.tile if box]
+            if max(bottoms, default=image.height) < image.height:
+                raise ValueError("rows are missing")  # (a TIFF's count may be wrong)
+            ImageOps.exif_transpose(image, in_place=True)  # upright
+            image.load()
+        with refusal(path, kind):
             return read(image)
-        except ValueError as error:
-            raise ValueError(f"`path`: expected {kind}, got {str(path)!r}: {error}") from error
 
 
 def rows(H: int, W: int) -> Iterator[slice]:

@@ -5,7 +5,7 @@ from io import BytesIO
 import numpy as np
 
 from .._files.exif import FieldOfView, field_of_view
-from .._files.paths import FilePath, as_path, reason, replace_file
+from .._files.paths import FilePath, as_path, refusal, replace_file
 from .._files.pictures import from_picture, pixels
 
 #: The most pixels of a picture (Pillow's limit, too: what is written can be read).
@@ -76,9 +76,6 @@ def save_image(path: FilePath, image: np.ndarray) -> None:
     suffix, data = as_path(path).suffix or ".png", BytesIO()
     if (kind := Image.registered_extensions().get(suffix.lower())) is None:
         raise ValueError(f"`path`: expected the ending of an image format, got {suffix!r}")
-    try:
+    with refusal(path, "an image format that can hold it", KeyError):
         Image.fromarray(array).save(data, kind)
-    except (OSError, ValueError, KeyError) as error:  # a format's limits
-        words = f"an image format that can hold it, got {str(path)!r}: {reason(error)}"
-        raise ValueError(f"`path`: expected {words}") from error
     replace_file(path, data.getvalue())

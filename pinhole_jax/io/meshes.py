@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .._files.paths import FilePath, as_path, open_file, reason
+from .._files.paths import FilePath, as_path, open_file, refusal
 from .._mesh_files import MESH_ENDINGS, MOST_BYTES, check_corners, read_polygons, triangulate
 from .._scene.scene import Mesh, rounding_warning
 from .._scene.topology import by_place
@@ -51,14 +51,11 @@ def load_mesh(path: FilePath, say: Callable[[str], object] | None = None) -> Mes
         words = f"expected one of {', '.join(MESH_ENDINGS)}, got {file.name!r}"
         hint = "; export it as STL" if file.suffix.lower() in SOLIDS else ""
         raise ValueError(f"`path`: {words}{hint}")
-    try:
+    with refusal(path, "a readable mesh", Exception):  # whatever a reader did not expect
         polygons = check_corners(read_polygons(file))
         faces = triangulate(polygons)
         if not len(faces):
             raise ValueError("no faces")
-    except Exception as error:  # whatever a reader meets that it did not expect
-        words = f"expected a readable mesh, got {str(path)!r}: {reason(error)}"
-        raise ValueError(f"`path`: {words}") from error
     merged, place = weld(polygons.points, faces)
     merged = merged.astype(float)
     try:
