@@ -14,12 +14,11 @@ import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar
+from typing import Any, BinaryIO
 from xml.parsers import expat
 
 from .interrupt import interrupts_raise
 
-Name = TypeVar("Name", str, int)
 #: A file's or a folder's path, as users give it.
 FilePath = str | os.PathLike[str]
 #: The most bytes of a file that is read as a whole, and the deepest nesting of JSON.
@@ -59,14 +58,6 @@ def file_and_name(path: Any) -> tuple[Path, str | None]:
     return as_path(head), name
 
 
-def is_folder(path: Any) -> bool:
-    """True if there is a folder at a path; there is none at a path that no system takes."""
-    try:
-        return as_path(path).is_dir()
-    except OSError:
-        return False
-
-
 def open_file(path: Any, kind: str, most: int = MOST_BYTES) -> BinaryIO:
     """Return a regular file of at most this many bytes, open for reading.
 
@@ -74,13 +65,10 @@ def open_file(path: Any, kind: str, most: int = MOST_BYTES) -> BinaryIO:
     """
     file = as_path(path)
     with refusal(path, kind):  # no permission, a name too long, a zero byte
-        found = _kind(file)
-        if found == "a file":
+        if _is_file(file):
             if file.stat().st_size > most:
                 raise ValueError(f"more than {most} bytes")
             return os.fdopen(os.open(file, os.O_RDONLY | NO_WAIT), "rb")
-        if found:
-            raise ValueError(found)
     raise FileNotFoundError(f"`path`: expected {kind}, got {str(path)!r}: no such file")
 
 
@@ -147,7 +135,8 @@ def _doctype(*_: object) -> None:
 
 def is_stream(path: Any) -> bool:
     """True if a path is a pipe or one of this process's own streams."""
-    return _stream_number(as_path(path)) is not None or _kind(as_path(path)) == "a pipe"
+    target = as_path(path)
+    return os.path.abspath(target) in STREAMS or _kind(target) == "a pipe"
 
 
 def written_path(path: FilePath) -> str:
@@ -169,7 +158,7 @@ def replace_file(path: Any, data: bytes | Iterable[bytes], *, lasting: bool = Fa
         if is_stream(target):
             _write_through(target, data)
         else:
-            _check_replaceable(target)
+            _is_file(target)
             _replace(target, data, lasting)
 
 
@@ -180,7 +169,7 @@ def check_writable(path: Any) -> None:
     with refusal(path, "a file to write"):
         if is_stream(target):
             return
-        _check_replaceable(target)
+        _is_file(target)
         made = [folder for folder in target.parents if not folder.exists()]
         trial = target.parent / f"tmp{secrets.token_hex(8)}"
         _replace(trial, [b""], lasting=False)
@@ -207,9 +196,11 @@ def reason(error: Exception) -> str:
     return re.sub(r"\s*<_io\.[^>]*>", "", first)  # how a reader calls the stream that it was given
 
 
-def _check_replaceable(target: Path) -> None:
+def _is_file(target: Path) -> bool:
+    """True for a file, False where there is nothing; ValueError where there is something else."""
     if (kind := _kind(target)) not in (None, "a file"):
         raise ValueError(kind)
+    return kind is not None
 
 
 def _name(path: Any) -> str:
@@ -227,22 +218,12 @@ def as_fields(pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:
     return fields
 
 
-def first_repeat(names: Iterable[Name]) -> Name | None:
-    """Return the first name that comes again, None if all differ."""
-    seen: set[Name] = set()
-    return next((name for name in names if name in seen or seen.add(name)), None)
-
-
 def is_deep(data: Any, levels: int = MOST_DEPTH) -> bool:
     """True if lists and maps are nested deeper than this many levels."""
     if not isinstance(data, dict | list):
         return False
     parts = data.values() if isinstance(data, dict) else data
     return levels == 0 or any(is_deep(part, levels - 1) for part in parts)
-
-
-def _stream_number(target: Path) -> int | None:
-    return STREAMS.get(os.path.abspath(target))
 
 
 def _kind(target: Path) -> str | None:
@@ -254,7 +235,7 @@ def _kind(target: Path) -> str | None:
 
 
 def _write_through(target: Path, data: Iterable[bytes]) -> None:
-    number = _stream_number(target)
+    number = STREAMS.get(os.path.abspath(target))
     if number is None:
         handle = os.open(target, os.O_WRONLY | NO_WAIT)  # an error if nobody reads it
         os.set_blocking(handle, True)

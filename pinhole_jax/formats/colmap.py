@@ -143,8 +143,7 @@ def _view(model: str, names: Sequence[str], fields: Fields) -> Intrinsics:
     centre = fields.number("cx"), fields.number("cy")
     size = fields.integer("WIDTH"), fields.integer("HEIGHT")
     distorted = {name: fields.number(name) for name in names if name[0] in "kp"}
-    models = (Fisheye,) if model.endswith("FISHEYE") else (BrownConrady, Rational)
-    distortion = distortion_model(distorted, fields, models)
+    distortion = distortion_model(distorted, fields, model.endswith("FISHEYE"))
     return Pinhole(focals[0], focals[-1], *centre, *size, distortion), fields
 
 

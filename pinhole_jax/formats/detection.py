@@ -32,6 +32,9 @@ AXES: dict[str, np.ndarray] = {
     "x left, y up, z forward (PyTorch3D, Mitsuba)": LEFT_UP_FORWARD,
     "x left, y down, z backward": np.diag([-1.0, 1.0, -1.0, 1.0]),
 }
+#: A reading of the numbers: what it takes them for (`LABELS`), world_from_camera in OpenCV's axes,
+#: and the intrinsics.
+Reading = tuple[tuple[str, ...], Pose, Pinhole]
 LABELS = ("axes", "direction", "pixel_centres", "fov_axis")
 #: Whose IoU is less than this share of the best one's is no rival.
 RIVAL = 0.5
@@ -119,19 +122,10 @@ def detect(
     readings: dict[tuple[float, ...], list[Reading]] = {}
     for (pose_words, place), (view_words, view) in product(_poses(fields), _views(fields, W, H)):
         numbers = np.r_[np.ravel(place / np.max(np.abs(place))), view[:6]]
-        reading = Reading((*pose_words, *view_words), place, view)
+        reading = (*pose_words, *view_words), place, view
         readings.setdefault(tuple(np.round(numbers, 6) + 0.0), []).append(reading)
     hypotheses = (_hypothesis(scene, target, group) for group in readings.values())
     return _verdict(scene, target, sorted(hypotheses, key=lambda hypothesis: -hypothesis.iou))
-
-
-class Reading(NamedTuple):
-    """A reading of the numbers: what it takes them for (`LABELS`), world_from_camera in OpenCV's
-    axes, and the intrinsics."""
-
-    words: tuple[str, ...]
-    place: Pose
-    view: Pinhole
 
 
 def _hypothesis(scene: Scene, target: np.ndarray, group: list[Reading]) -> Hypothesis:
@@ -144,7 +138,7 @@ def _hypothesis(scene: Scene, target: np.ndarray, group: list[Reading]) -> Hypot
     if np.all((target == 0) | (target == 1)):
         image = image > 0.5
     iou = float(np.minimum(image, target).sum() / np.maximum(image, target).sum())
-    columns = zip(*(reading.words for reading in group), strict=True)
+    columns = zip(*(words for words, _, _ in group), strict=True)
     joined = (" or ".join(dict.fromkeys(column)) for column in columns)
     return Hypothesis(iou, *joined, camera=camera)
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
+from os.path import isdir
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,7 +12,6 @@ from .._files.paths import (
     FilePath,
     as_path,
     file_and_name,
-    is_folder,
     parse_xml,
     read_json as load_json,
     read_text,
@@ -81,7 +81,7 @@ def read(path: FilePath, format: str | None = None, *, size: Size | None = None)
     """
     place = as_path(path)
     name = _checked(format) or _guess_read(place)
-    if name.startswith("colmap") and place.name in COLMAP_FILES and not is_folder(place):
+    if name.startswith("colmap") and place.name in COLMAP_FILES and not isdir(place):
         place = place.parent
     reader = FORMATS[name].read
     if reader is None:
@@ -138,7 +138,7 @@ def _checked(format: str | None) -> str | None:
 
 
 def _guess_read(path: Path) -> str:
-    if is_folder(path) or path.name in COLMAP_FILES:
+    if isdir(path) or path.name in COLMAP_FILES:
         return "colmap"
     if path.suffix.lower() == ".xml":
         root = parse_xml(read_text(path, KIND), path)
@@ -169,7 +169,7 @@ def guess_write(path: FilePath) -> str:
     ```
     """
     place = as_path(path)
-    if is_folder(place) or not place.suffix:
+    if isdir(place) or not place.suffix:
         return "colmap"
     if place.suffix.lower() != ".json":
         return _by_ending(place)

@@ -1,6 +1,7 @@
 """Intrinsics alone, from whatever file holds them: calibrations, COLMAP's cameras, JSON."""
 
 from collections.abc import Mapping
+from os.path import isdir
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,7 @@ import numpy as np
 from .._camera.camera import Camera
 from .._camera.matrices import Centres
 from .._files.fields import Fields, Size
-from .._files.paths import FilePath, file_and_name, is_folder, read_json
+from .._files.paths import FilePath, file_and_name, read_json
 from .._numerics.arrays import Input
 from .colmap import colmap_intrinsics
 from .native import camera_from_fields
@@ -52,7 +53,7 @@ def read_intrinsics(
     ```
     """
     place, name = file_and_name(path)
-    if is_folder(place):
+    if isdir(place):
         models = (place / model for model in COLMAP)
         place = next((model for model in models if model.exists()), place / COLMAP[-1])
     if place.name in COLMAP:

@@ -6,7 +6,7 @@ before them. `cx`, `cy` are px from the image's top-left corner, y down; pixel c
 """
 
 from .._camera.camera import Camera
-from .._camera.distortion import BrownConrady, Fisheye, Rational
+from .._camera.distortion import Fisheye, Rational
 from .._files.fields import Fields, Size, read_fields
 from .._files.paths import FilePath
 from .pinhole import (
@@ -100,7 +100,7 @@ def _camera(fields: Fields, size: Size | None) -> Camera:
     model = fields.text("camera_model", MODELS, "OPENCV")
     fisheye = model == FISHEYE or ("is_fisheye" in fields and fields.flag("is_fisheye"))
     coefficients = {name: fields.number(name) for name in COEFFICIENTS if name in fields}
-    distortion = distortion_model(coefficients, fields, (Fisheye if fisheye else BrownConrady,))
+    distortion = distortion_model(coefficients, fields, fisheye, rational=False)
     W, H = fields.size("w", "h", size)
     if "fl_x" in fields:
         fx = fields.positive("fl_x")

@@ -160,7 +160,8 @@ def write_opencv(
     pj.formats.write_opencv("left.yaml", {"left.png": camera})
     ```
     """
-    check_cameras(cameras, "OpenCV", _can_hold)
+    can_hold = lambda text: len(text.encode()) <= MOST_BYTES and not UNPRINTABLE.search(text)
+    check_cameras(cameras, "OpenCV", can_hold)  # FileStorage reads a quoted text as it was
     views = {name: pinhole(camera, distorted=True) for name, camera in cameras.items()}
     (name, first), *others = views.items()
     for other, view in others:
@@ -276,16 +277,15 @@ def _poses(fields: Fields) -> list[Pose]:
 
 def _distortion(fields: Fields) -> Distortion | None:
     name, fisheye = "distortion_coefficients", fields.data.get("fisheye", False)
-    models = (Fisheye,) if fisheye else (BrownConrady, Rational)
     names, sizes = (Fisheye.powers, (4,)) if fisheye else (COEFFICIENTS, (4, 5, 8, 12, 14))
     if isinstance(fields.data.get(name), Mapping):
         part = fields.part(name)
-        return distortion_model({key: part.number(key) for key in part.data}, fields, models)
+        return distortion_model({key: part.number(key) for key in part.data}, fields, fisheye)
     values = np.ravel(fields.array(name)) if name in fields else ()
     if len(values) not in (0, *sizes):
         words = " or ".join(map(str, sizes)) + " coefficients"
         raise fields.wrong(name, words + " of a fisheye" * fisheye, values)
-    return distortion_model(dict(zip(names, map(float, values), strict=False)), fields, models)
+    return distortion_model(dict(zip(names, map(float, values), strict=False)), fields, fisheye)
 
 
 def _matrix(name: str, array: np.ndarray) -> str:
@@ -296,8 +296,3 @@ def _matrix(name: str, array: np.ndarray) -> str:
         f"{name}: !!opencv-matrix\n   rows: {rows}\n   cols: {cols}\n   dt: d\n"
         f"   data: [ {data} ]\n"
     )
-
-
-def _can_hold(text: str) -> bool:
-    """True if FileStorage reads a quoted text as it was."""
-    return len(text.encode()) <= MOST_BYTES and not UNPRINTABLE.search(text)

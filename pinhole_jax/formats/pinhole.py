@@ -6,18 +6,18 @@ here: a reader or a writer is the list of its file's fields.
 """
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .._camera.camera import Camera, check_camera, focal_px, principal_point
-from .._camera.distortion import Distortion, Fisheye, Rational
+from .._camera.distortion import BrownConrady, Distortion, Fisheye, Rational
 from .._camera.matrices import Centres, half_pixel
 from .._camera.poses import Pose, check_pose, inverse, pose_of
 from .._files.fields import Fields, Part, read_fields, short
 from .._files.paths import FilePath, replace_file
-from .._numerics.arrays import ArrayLike, Input
+from .._numerics.arrays import Input
 
 #: Cameras by name.
 Cameras = dict[str, Camera]
@@ -70,27 +70,16 @@ def pinhole(camera: Camera, *, distorted: bool = False) -> Pinhole:
     return Pinhole(fx, fy, x, camera.H - y, camera.W, camera.H, camera.distortion)
 
 
-def from_opencv(
-    K: Input[ArrayLike, "3 3"],
-    R: Input[ArrayLike, "3 3"],
-    t: Input[ArrayLike, "3"],
-    W: Input[int, "px"],
-    H: Input[int, "px"],
-    *,
-    pixel_centres: Input[Centres, "of K"],
-    d: float = 1.0,
-    distortion: Distortion | None = None,
-) -> Camera:
-    """Return the camera of OpenCV's K (3, 3) in px, R (3, 3) and t (3,): `Camera.from_K`, beside
-    the other conventions.
+from_opencv = Camera.from_K
+"""Return the camera of OpenCV's K (3, 3) in px, R (3, 3) and t (3,): `Camera.from_K`, beside the
+other conventions.
 
-    Raises ValueError as it does.
+Raises ValueError as it does.
 
-    ```python
-    same = pj.formats.from_opencv(K, R, t, 96, 80, pixel_centres="integer")
-    ```
-    """
-    return Camera.from_K(K, R, t, W, H, pixel_centres=pixel_centres, d=d, distortion=distortion)
+```python
+same = pj.formats.from_opencv(K, R, t, 96, 80, pixel_centres="integer")
+```
+"""
 
 
 def to_opencv(
@@ -118,18 +107,20 @@ def to_opencv(
 
 
 def distortion_model(
-    coefficients: Mapping[str, float], fields: Fields, models: Sequence[type[Distortion]]
+    coefficients: Mapping[str, float], fields: Fields, fisheye: bool, rational: bool = True
 ) -> Distortion | None:
-    """Return the distortion with these coefficients, of the first of some models that has them.
+    """Return the distortion with these coefficients: a fisheye's, or of the first of Brown's models
+    that has them.
 
     None if all are 0 and it is no fisheye.
     """
+    models = (Fisheye,) if fisheye else (BrownConrady, Rational)[: 1 + rational]
     distorted = {name: value for name, value in coefficients.items() if value != 0}
     model = next((model for model in models if distorted.keys() <= model.powers.keys()), models[-1])
     if unknown := [f"{k} = {x:g}" for k, x in distorted.items() if k not in model.powers]:
         known = f"{', '.join(model.powers)} of a {model.__name__} only"
         raise fields.wrong("distortion", known, ", ".join(unknown))
-    return model(**distorted) if distorted or model is Fisheye else None
+    return model(**distorted) if distorted or fisheye else None
 
 
 def world_from_camera(camera: Camera, axes: Pose) -> Pose:

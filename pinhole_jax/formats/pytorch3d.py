@@ -89,8 +89,8 @@ def from_pytorch3d(
     }
     if (fov is None) == (focal_length is None):
         raise ValueError("expected `focal_length` or `fov`, got both or neither")
-    arrays = {name: (x, as_numbers(x)) for name, x in given.items() if x is not None}
-    fields = {name: x if a is None else np.squeeze(a) for name, (x, a) in arrays.items()}
+    squeezed = lambda x: x if (numbers := as_numbers(x)) is None else np.squeeze(numbers)
+    fields = {name: squeezed(x) for name, x in given.items() if x is not None}
     return _camera(Fields(fields, "the arguments"), in_ndc)
 
 
@@ -105,10 +105,9 @@ def _camera(fields: Fields, in_ndc: bool, size: Size | None = None) -> Camera:
     else:
         focal = fields.array("focal_length", (), (2,), expected="one number or two")
         fx, fy = np.broadcast_to(focal * (half if in_ndc else 1.0), 2)
-    cx, cy = W / 2, H / 2
-    if "principal_point" in fields:
-        x, y = fields.array("principal_point", (2,))
-        cx, cy = (cx - half * x, cy - half * y) if in_ndc else (x, y)
+    middle = [W / 2, H / 2]
+    centre = fields.array("principal_point", (2,), default=0 if in_ndc else middle)
+    cx, cy = middle - half * centre if in_ndc else centre
     pose = np.c_[fields.array("R", (3, 3)).T, fields.array("T", (3,))]
     pose = inverse(pose_from_matrix(pose, fields, "R"))
     return camera_from_pinhole(Pinhole(fx, fy, cx, cy, W, H), pose, LEFT_UP_FORWARD, fields)
@@ -127,8 +126,9 @@ def read_pytorch3d(path: FilePath, *, size: Size | None = None) -> Cameras:
     """
     top = read_fields(path, KIND)
     count, in_ndc = len(top.array("R", (-1, 3, 3))), top.flag("in_ndc")
-    optional = {"names"} if size is None else {"names", "image_size"}
-    given = [name for name in ("names", *ARRAYS) if name in top or name not in optional]
+    given = [
+        name for name in ("names", *ARRAYS) if name in top or name not in ("names", "image_size")
+    ]
     rows = {name: top.items(name, count, f"a list of {count}") for name in given}
     names = rows.pop("names", range(count))
     parts = (dict(zip(rows, row, strict=True)) for row in zip(*rows.values(), strict=True))

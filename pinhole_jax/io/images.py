@@ -64,10 +64,9 @@ def save_image(path: FilePath, image: np.ndarray) -> None:
     from PIL import Image
 
     array = np.asarray(image)
-    shown = array.ndim == 2 or (array.ndim == 3 and array.shape[2] in (3, 4))
-    if not shown or 0 in array.shape:
+    if array.ndim < 2 or array.shape[2:] not in ((), (3,), (4,)) or not array.size:
         raise ValueError(f"`image`: expected shape (H, W), (H, W, 3 or 4), got {array.shape}")
-    if array.dtype == bool or np.issubdtype(array.dtype, np.floating):
+    if array.dtype.kind in "bf":
         if not np.all(np.isfinite(array)):
             raise ValueError("`image`: expected finite values, got NaN or infinity")
         array = np.round(np.clip(array.astype(float), 0, 1) * 255).astype(np.uint8)

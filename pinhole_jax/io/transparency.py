@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from .._files.pictures import by_rows, rows
+from .._files.pictures import by_rows
 
 #: Values (of 255) between these are the in-between of an edge.
 DARK, LIGHT = 26, 229
@@ -130,9 +130,8 @@ def _shade(colours: np.ndarray, opaque: np.ndarray) -> np.ndarray | None:
 def _is_same(opaque: np.ndarray, shade: np.ndarray) -> bool:
     """Return True where colours take hardly anything from the opacity: they are the same picture,
     premultiplied, or light."""
-    parts = ((opaque[part].astype(np.int32), shade[part]) for part in rows(*opaque.shape))
-    lost = sum(int(np.sum(np.maximum(a - s - GREY, 0))) for a, s in parts)
-    return lost <= 255 * SAME_PX * int(np.count_nonzero(ring(opaque > 127, 0)))
+    lost = opaque - np.minimum(opaque, np.minimum(shade, 255 - GREY) + GREY)
+    return bool(np.sum(lost) <= 255 * SAME_PX * np.count_nonzero(ring(opaque > 127, 0)))
 
 
 def _between(values: np.ndarray) -> int:

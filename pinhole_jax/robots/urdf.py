@@ -1,6 +1,7 @@
 """A URDF's links, the joints between them and the shapes that are seen, from its XML."""
 
 import xml.etree.ElementTree as ET
+from collections import Counter
 from collections.abc import Collection, Mapping
 from graphlib import CycleError, TopologicalSorter
 from typing import NamedTuple
@@ -10,7 +11,6 @@ from jaxtyping import Float
 
 from .._camera.poses import Pose, rigid
 from .._files.fields import Fields, attributes
-from .._files.paths import first_repeat
 
 SHAPES = ("box", "cylinder", "mesh", "sphere")
 #: Elements that xacro once had without a prefix, and those that describe no link or joint anew.
@@ -102,8 +102,9 @@ def _named(root: ET.Element, kind: str) -> dict[str, ET.Element]:
     """Return the links or joints by name."""
     elements = root.findall(kind)
     names = [_fields(element, "<robot>").text("name") for element in elements]
-    if (twice := first_repeat(names)) is not None:
-        raise ValueError(f"two of {kind} {twice!r}")
+    for name, count in Counter(names).items():
+        if count > 1:
+            raise ValueError(f"two of {kind} {name!r}")
     return dict(zip(names, elements, strict=True))
 
 
