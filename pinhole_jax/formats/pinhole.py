@@ -17,7 +17,7 @@ from .._camera.matrices import Centres, half_pixel
 from .._camera.poses import Pose, check_pose, inverse, pose_of
 from .._files.fields import Fields, Part, read_fields, short
 from .._files.paths import FilePath, replace_file
-from .._numerics.arrays import Input
+from .._numerics.arrays import ArrayLike, Input
 
 #: Cameras by name.
 Cameras = dict[str, Camera]
@@ -70,16 +70,27 @@ def pinhole(camera: Camera, *, distorted: bool = False) -> Pinhole:
     return Pinhole(fx, fy, x, camera.H - y, camera.W, camera.H, camera.distortion)
 
 
-from_opencv = Camera.from_K
-"""Return the camera of OpenCV's K (3, 3) in px, R (3, 3) and t (3,): `Camera.from_K`, beside the
-other conventions.
+def from_opencv(
+    K: Input[ArrayLike, "3 3"],
+    R: Input[ArrayLike, "3 3"],
+    t: Input[ArrayLike, "3"],
+    W: Input[int, "px"],
+    H: Input[int, "px"],
+    *,
+    pixel_centres: Input[Centres, "of K"],
+    d: float = 1.0,
+    distortion: Distortion | None = None,
+) -> Camera:
+    """Return the camera of OpenCV's K (3, 3) in px, R (3, 3) and t (3,): `Camera.from_K`, beside
+    the other conventions.
 
-Raises ValueError as it does.
+    Raises ValueError as it does.
 
-```python
-same = pj.formats.from_opencv(K, R, t, 96, 80, pixel_centres="integer")
-```
-"""
+    ```python
+    same = pj.formats.from_opencv(K, R, t, 96, 80, pixel_centres="integer")
+    ```
+    """
+    return Camera.from_K(K, R, t, W, H, pixel_centres=pixel_centres, d=d, distortion=distortion)
 
 
 def to_opencv(
