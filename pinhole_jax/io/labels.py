@@ -1,7 +1,6 @@
 """Label pictures: some values, each on a flat area, where a mask has two levels and soft edges."""
 
 from collections import Counter
-from typing import NamedTuple
 
 import numpy as np
 
@@ -26,14 +25,6 @@ DARK, LIGHT = 0.1, 0.9
 MOST_VALUES = 4096
 
 
-class _Counts(NamedTuple):
-    """The values of a picture in order, how many pixels and how many flat ones each has."""
-
-    values: np.ndarray
-    pixels: np.ndarray
-    flat: np.ndarray
-
-
 def labels_in(numbers: np.ndarray, seen: np.ndarray | None = None) -> np.ndarray:
     """Return the labels among a picture's numbers (H, W), in order; none where it may be a mask.
 
@@ -45,22 +36,24 @@ def labels_in(numbers: np.ndarray, seen: np.ndarray | None = None) -> np.ndarray
     counts = _counted(numbers, seen)
     if counts is None:
         return numbers[:0, 0]
-    is_few, total = len(counts.values) <= FEW, np.sum(counts.pixels)
-    least = FLAT_PX if is_few else max(FLAT_PX, AREA * (np.sum(counts.flat) - np.max(counts.flat)))
-    is_level = (counts.flat >= least) & (counts.flat >= FLAT_SHARE * counts.pixels)
-    levels, others = counts.values[is_level], total - np.sum(counts.pixels[is_level])
+    values, pixels, flat = counts
+    is_few, total = len(values) <= FEW, np.sum(pixels)
+    least = FLAT_PX if is_few else max(FLAT_PX, AREA * (np.sum(flat) - np.max(flat)))
+    is_level = (flat >= least) & (flat >= FLAT_SHARE * pixels)
+    levels, others = values[is_level], total - np.sum(pixels[is_level])
     if len(levels) < 2 or (seen is not None and others > OTHERS * total):
         return levels[:0]
-    most = counts.values[-1].astype(float)
-    if not is_few and others > SOFT * (total - np.sum(counts.flat)):
+    most = values[-1].astype(float)
+    if not is_few and others > SOFT * (total - np.sum(flat)):
         levels = levels[[*np.flatnonzero(np.diff(levels) > NOISE * most), -1]]
         return levels if len(levels) > 2 else levels[:0]
     is_mask = levels[0] <= DARK * levels[1] and levels[1] >= LIGHT * most
     return levels[:0] if len(levels) == 2 and is_mask else levels
 
 
-def _counted(numbers: np.ndarray, seen: np.ndarray | None) -> _Counts | None:
-    """Return the counts of all values but those of the border; None where there are too many."""
+def _counted(numbers: np.ndarray, seen: np.ndarray | None) -> tuple[np.ndarray, ...] | None:
+    """Return the values in order, how many pixels each has, and how many flat ones, all but those
+    of the border; None where there are too many."""
     from scipy.ndimage import maximum_filter, minimum_filter
 
     pixels, flat_pixels = Counter[float](), Counter[float]()
@@ -78,4 +71,4 @@ def _counted(numbers: np.ndarray, seen: np.ndarray | None) -> _Counts | None:
             total.update(dict(zip(values.tolist(), counts.tolist(), strict=True)))
     order = sorted(pixels)
     counts = (np.array([total[value] for value in order]) for total in (pixels, flat_pixels))
-    return _Counts(np.array(order, numbers.dtype), *counts)
+    return np.array(order, numbers.dtype), *counts

@@ -25,6 +25,8 @@ ALPHA = "mask: the transparency (alpha)"
 BOTH = "mask: the colours where they are not transparent"
 #: How a mask was read whose background is not black: by more than this (of 255).
 HAZE, MOST_HAZE = "mask: its brightness", 16
+#: How bright red, green and blue are (ITU-R BT.601, as Pillow has it).
+BRIGHTNESS = (0.299, 0.587, 0.114)
 #: What data sets write for pixels that nobody labelled.
 VOID = (255, 65535)
 #: Soft edges of a background mask reach this far (px) to both sides.
@@ -128,12 +130,8 @@ def _opacity(picture: Picture) -> MaskReading:
 
 
 def _luminance(picture: Picture) -> MaskReading:
-    from PIL import Image
-
     colours = picture.colours
-    if picture.is_grey:
-        return MaskReading(np.ascontiguousarray(colours[..., 0]), HAZE)
-    grey = lambda part: np.asarray(Image.fromarray(colours[part]).convert("L"))
+    grey = lambda part: np.round(colours[part] @ BRIGHTNESS)
     return MaskReading(by_rows(grey, colours.shape[:2]), HAZE)
 
 
@@ -170,9 +168,8 @@ def _at_first_sight(picture: Picture) -> MaskReading:
 
 def _stretched(grey: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return a picture scaled so that its largest value is 255; its two values as 0 and 255."""
-    steps, most = np.arange(256), values[-1]
-    scaled = steps >= most if len(values) == 2 else (steps / most).clip(0, 1)
-    return np.round(255 * scaled).astype(np.uint8)[grey]
+    ends = values[0] if len(values) == 2 else 0, values[-1]
+    return np.round(np.interp(np.arange(256), ends, (0, 255))).astype(np.uint8)[grey]
 
 
 def _transparent(picture: Picture, opaque: np.ndarray) -> MaskReading | None:
