@@ -287,7 +287,7 @@ UNREADABLE = {
     "formats are json, opencv, colmap, colmap-binary": ("a.usd", b""),
     "`format`: expected one that can be read, got 'blender-s": ("a.py", b""),
     "`path`: expected JSON, got": ("a.json", b"{"),
-    r"`path`: expected a JSON object, got \[\]": ("a.json", b"[]"),
+    r"`path`: expected one of json, opencv, .*, got \[\] \(in": ("a.json", b"[]"),
     "`path`: expected JSON, got .*: not UTF-8": ("a.json", b"\xff"),
     NAMES: ("a.json", b"{}", "usd"),
 }

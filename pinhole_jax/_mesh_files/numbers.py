@@ -47,8 +47,7 @@ def _no_number(text: bytes, kind: type) -> str:
 
 def to_integers(numbers: np.ndarray, what: str) -> np.ndarray:
     """Return floats as integers, or raise ValueError, which names them by `what`."""
-    fits = np.abs(numbers) <= 2**53
-    if not np.all(fits & (numbers == np.round(np.where(fits, numbers, 0.5)))):
+    if not (np.all(np.abs(numbers) <= 2**53) and np.array_equal(numbers, np.round(numbers))):
         raise ValueError(f"expected whole numbers in {what}, got others")
     return numbers.astype(int)
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from .._camera.camera import Camera
 from .._files.fields import Fields, Size
-from .._files.paths import FilePath
+from .._files.paths import FilePath, replace_file
 from .pinhole import (
     OPENGL,
     Cameras,
@@ -25,7 +25,6 @@ from .pinhole import (
     pinhole,
     read_pose,
     save_json,
-    save_text,
     world_from_camera,
 )
 
@@ -134,7 +133,7 @@ def write_blender_script(path: FilePath, cameras: NamedCameras) -> None:
     pj.formats.write_blender_script("left.py", {"left": camera})
     ```
     """
-    save_text(path, to_blender_script(cameras))
+    replace_file(path, to_blender_script(cameras).encode())
 
 
 SCRIPT = """\

@@ -105,7 +105,9 @@ def write_colmap(folder: FilePath, cameras: NamedCameras, *, binary: bool = Fals
     stale += [f"{part}{end}" for part in ("rigs", "frames") for end in (ending, other)]
     if found := [name for name in stale if (place / name).exists()]:
         raise ValueError(f"`folder`: expected none of another model, got {found[0]} in {folder!s}")
-    check_cameras(cameras, "COLMAP", lambda name: _can_hold(name, binary))
+    can_hold = lambda name: "\0" not in name and 0 < len(name.encode()) <= MOST_NAME
+    in_text = lambda name: name.split() == [name] and can_hold(name)
+    check_cameras(cameras, "COLMAP", can_hold if binary else in_text)
     keys: dict[tuple, int] = {}
     images = [
         (number, *_pose(camera), keys.setdefault(_intrinsics(camera), len(keys) + 1), name)
@@ -115,11 +117,6 @@ def write_colmap(folder: FilePath, cameras: NamedCameras, *, binary: bool = Fals
     parts = _binary(views, images) if binary else _text(views, images)
     for part, data in zip(PARTS, parts, strict=True):
         replace_file(place / f"{part}{ending}", data)
-
-
-def _can_hold(name: str, binary: bool) -> bool:
-    whole = binary or name.split() == [name]
-    return whole and "\0" not in name and 0 < len(name.encode()) <= MOST_NAME
 
 
 def colmap_intrinsics(file: Path) -> dict[str, Intrinsics]:

@@ -154,10 +154,9 @@ def _json_format(path: Path) -> str:
     for fields, format in FIELDS.items():
         if names.issuperset(fields.split()):
             return format
-    if not (isinstance(data, dict) or unknown(data)):
-        raise ValueError(f"`path`: expected a JSON object, got {short(data)} in {str(path)!r}")
     known = ", ".join(name for name, format in FORMATS.items() if format.read)
-    got = unknown(data) or f"JSON with the fields {short(sorted(named))}"
+    held = f"JSON with the fields {short(sorted(named))}" if named else short(data)
+    got = unknown(data) or held
     raise ValueError(f"`path`: expected one of {known}, got {got} (in {str(path)!r})")
 
 

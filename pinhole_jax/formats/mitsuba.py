@@ -19,7 +19,7 @@ import numpy as np
 from .._camera.camera import Camera
 from .._camera.poses import Pose, exponential, pose_of, rigid
 from .._files.fields import Fields, Size, attributes, number_or_text, short
-from .._files.paths import FilePath, parse_xml, read_text
+from .._files.paths import FilePath, parse_xml, read_text, replace_file
 from .pinhole import (
     KIND,
     LEFT_UP_FORWARD,
@@ -33,7 +33,6 @@ from .pinhole import (
     fov_from_focal,
     pinhole,
     pose_from_matrix,
-    save_text,
     world_from_camera,
 )
 from .unknown import unknown
@@ -99,7 +98,7 @@ def write_mitsuba(path: FilePath, cameras: NamedCameras) -> None:
             W=view.W,
             H=view.H,
         )
-    save_text(path, text + "</scene>\n")
+    replace_file(path, f"{text}</scene>\n".encode())
 
 
 SENSOR = """\

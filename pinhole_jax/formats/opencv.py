@@ -16,7 +16,7 @@ from .._camera.distortion import BrownConrady, Distortion, Fisheye, Rational
 from .._camera.matrices import Centres, half_pixel
 from .._camera.poses import Pose, exponential, inverse, pose_of
 from .._files.fields import Fields, Size, as_numbers, short
-from .._files.paths import FilePath
+from .._files.paths import FilePath, replace_file
 from .._numerics.arrays import Input
 from .pinhole import (
     OPENCV,
@@ -30,7 +30,6 @@ from .pinhole import (
     pinhole,
     pose_from_matrix,
     read_matrix,
-    save_text,
 )
 from .unknown import unknown
 
@@ -51,7 +50,7 @@ NAMES = {
 }
 PLAIN_NAMES = {plain: name for name, known in NAMES.items() for plain in known.split()}
 #: A pose's fields, and their shapes.
-POSES: dict[str, list[tuple[int, ...]]] = {
+POSES = {
     "extrinsic_parameters": [(-1, 6)],
     "rvec": [(3,)],
     "R": [(3,), (3, 3)],
@@ -186,7 +185,7 @@ def write_opencv(
 
         rows = [np.r_[Rotation.from_matrix(x[:3, :3]).as_rotvec(), x[:3, 3]] for x in poses]
         text += _matrix("extrinsic_parameters", np.stack(rows))
-    save_text(path, text)
+    replace_file(path, text.encode())
 
 
 def _known(file: Fields) -> Fields:

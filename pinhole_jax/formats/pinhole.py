@@ -201,12 +201,7 @@ def json_cameras(path: FilePath, read: Callable[[Fields], Camera]) -> Cameras:
 
 def save_json(path: FilePath, data: Any) -> None:
     """Write JSON, whole or not at all."""
-    save_text(path, json.dumps(data, indent=1, allow_nan=False) + "\n")
-
-
-def save_text(path: FilePath, text: str) -> None:
-    """Write a text, whole or not at all."""
-    replace_file(path, text.encode())
+    replace_file(path, (json.dumps(data, indent=1, allow_nan=False) + "\n").encode())
 
 
 def check_cameras(

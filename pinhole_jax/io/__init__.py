@@ -7,7 +7,6 @@ from ..formats.native import (
     load_camera as load_camera,
     save_camera as save_camera,
 )
-from .coverage import as_coverage as as_coverage
 from .fits import (
     FIT_SCHEMA as FIT_SCHEMA,
     fit_from_dict as fit_from_dict,
@@ -21,7 +20,7 @@ from .images import (
     photo_fov as photo_fov,
     save_image as save_image,
 )
-from .masks import load_mask as load_mask
+from .masks import as_coverage as as_coverage, load_mask as load_mask
 from .meshes import load_mesh as load_mesh
 from .rle import mask_of_rle as mask_of_rle
 from .text import load_json as load_json, load_text as load_text, save_text as save_text

@@ -10,10 +10,12 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from .._files.paths import FilePath
 from .._files.pictures import Picture, by_rows, from_picture, pixels, rows
-from .._mask.target import MOST_BORDER, border_of
+from .._mask.target import MOST_BORDER, as_coverage as unclipped, border_of, check_image
+from .._numerics.arrays import ArrayLike, Input
 from .labels import labels_in
 from .tidy import SPECK, drop_specks
 from .transparency import DARK, GREY, LIGHT, mask_with_colours, nearest, ring, shrunk
@@ -83,6 +85,19 @@ def load_mask(
     if say is not None and words:
         say(words)
     return mask
+
+
+def as_coverage(mask: Input[ArrayLike, "H W"]) -> Float[np.ndarray, "H W"]:
+    """Return a mask as fits read it: float64 in [0, 1], where 255 of uint8, and True, are 1.
+
+    Raises ValueError unless it is (H, W), of bools, uint8 or floats, or of integers that are all 0
+    or 1 (or 255, or 65535).
+
+    ```python
+    coverage = pj.io.as_coverage(np.uint8(255 * mask))  # the masks of `load_mask`, too
+    ```
+    """
+    return unclipped(check_image("mask", mask)).clip(0, 1)
 
 
 class MaskReading(NamedTuple):
