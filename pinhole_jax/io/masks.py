@@ -84,7 +84,7 @@ def load_mask(
     mask, words = from_picture(path, "a mask", read)
     if say is not None and words:
         say(words)
-    return mask
+    return np.ascontiguousarray(mask)
 
 
 def as_coverage(mask: Input[ArrayLike, "H W"]) -> Float[np.ndarray, "H W"]:
@@ -159,7 +159,7 @@ def _at_first_sight(picture: Picture) -> MaskReading:
         return MaskReading(255 * numbers, "mask: its values 0 and 1")
     if not is_grey and np.max(np.ptp(colours, axis=2)) > GREY:
         raise ValueError(f"a colour picture; say what is the object: {WAYS}")
-    grey = np.ascontiguousarray(colours[..., 0])
+    grey = colours[..., 0]
     labels = labels_in(numbers if is_grey else grey)
     if numbers is not None and not is_grey and len(labels):
         labels = np.unique(numbers[np.isin(grey, labels)])
