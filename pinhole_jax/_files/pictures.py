@@ -33,7 +33,7 @@ class Picture(NamedTuple):
 
     colours: np.ndarray
     opacity: np.ndarray | None
-    numbers: np.ndarray | None
+    numbers: Any
     is_grey: bool
 
 
@@ -45,7 +45,8 @@ def pixels(image: Any) -> Picture:
     W, H = image.size
     is_deep, through = image.mode.startswith(("I", "F")), image.has_transparency_data
     is_grey = is_deep or image.mode in ("1", "L")
-    numbers = np.array(image) if is_grey or image.mode == "P" else None
+    numbers: Any = np.array(image) if is_grey or image.mode == "P" else None
+    opacity = None
     if is_deep and through:  # Pillow compares 16 bits with it after it has made them 8
         opacity = np.where(numbers == image.info["transparency"], np.uint8(0), np.uint8(255))
     if is_grey and (is_deep or not through):
@@ -54,9 +55,9 @@ def pixels(image: Any) -> Picture:
         mode = "RGBA" if through else "RGB"
         band = lambda part: image.crop((0, part.start, W, part.stop)).convert(mode)
         both = by_rows(lambda part: np.asarray(band(part)), (H, W, len(mode)))
-        colours, opacity = both[..., :3], both[..., -1]
+        colours, opacity = both[..., :3], both[..., -1] if through else None
     image.close()
-    return Picture(colours, opacity if through else None, numbers, is_grey)
+    return Picture(colours, opacity, numbers, is_grey)
 
 
 def from_picture(path: Any, kind: str, read: Callable[[Any], Any]) -> Any:

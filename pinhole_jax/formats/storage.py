@@ -62,7 +62,7 @@ def _parse_yaml(text: str) -> Any:
     raise ValueError(words[:400])
 
 
-def _yaml_value(node: yaml.Node | None) -> Any:
+def _yaml_value(node: Any) -> Any:
     """Return a node's value, whatever its tag."""
     if isinstance(node, yaml.MappingNode):
         return as_fields((str(key.value), _yaml_value(value)) for key, value in node.value)
