@@ -154,7 +154,7 @@ def _at_first_sight(picture: Picture) -> MaskReading:
     if picture.opacity is not None and (read := _transparent(picture, picture.opacity)) is not None:
         return read
     colours, _, numbers, is_grey = picture
-    has_bytes = numbers is not None and numbers.dtype == np.uint8
+    has_bytes = getattr(numbers, "dtype", None) == np.uint8
     if has_bytes and numbers.max() == 1 and not np.any(colours[numbers == 0]):  # 0 is black
         return MaskReading(255 * numbers, "mask: its values 0 and 1")
     if not is_grey and np.max(np.ptp(colours, axis=2)) > GREY:
