@@ -14,7 +14,7 @@ Part = TypeVar("Part")
 #: Width and height of an image, px.
 Size = tuple[int, int]
 #: What stands for numbers that JSON has no word for.
-NOT_FINITE = {None: np.nan, "Infinity": np.inf, "-Infinity": -np.inf}
+NOT_FINITE: dict[str | None, float] = {None: np.nan, "Infinity": np.inf, "-Infinity": -np.inf}
 #: Attributes of XML that are texts, whatever they look like.
 NAMES = ("name", "type", "link", "joint", "filename")
 YES, NO = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
@@ -32,7 +32,7 @@ class Fields:
             raise ValueError(f"expected fields with names, got {short(data)} (in {where})")
         self.data: Mapping[str, Any] = data
         self.where = where
-        self.written = written or {}
+        self.written: Mapping[str, str] = written or {}
 
     def __contains__(self, name: str) -> bool:
         return name in self.data

@@ -26,7 +26,7 @@ from .pinhole import (
 )
 
 #: Axes of the camera frame, and who has them.
-AXES = {
+AXES: dict[str, np.ndarray] = {
     "x right, y down, z forward (OpenCV, COLMAP)": OPENCV,
     "x right, y up, z backward (OpenGL, Blender, NeRF, glTF)": OPENGL,
     "x left, y up, z forward (PyTorch3D, Mitsuba)": LEFT_UP_FORWARD,

@@ -50,7 +50,7 @@ NAMES = {
 }
 PLAIN_NAMES = {plain: name for name, known in NAMES.items() for plain in known.split()}
 #: A pose's fields, and their shapes.
-POSES = {
+POSES: dict[str, list[tuple[int, ...]]] = {
     "extrinsic_parameters": [(-1, 6)],
     "rvec": [(3,)],
     "R": [(3,), (3, 3)],
