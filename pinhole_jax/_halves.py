@@ -280,13 +280,10 @@ def _object_answer(placed: ObjectFit) -> _HalfAnswer:
 def _shared_answer(fits: Sequence[CameraResult]) -> _HalfAnswer:
     """What separate cameras have in common: parameters of one value in all of them."""
     answers = [_camera_answer(fit) for fit in fits]
-    first, number = answers[0], len(answers[0].values)
-    before = len(first.names) - number
-    values = np.array([answer.values for answer in answers])
-    place = np.flatnonzero(np.all(values == values[:1], axis=0))
-    names = tuple(first.names[before + k] for k in place)
-    covariance = first.covariance[np.ix_(before + place, before + place)]
-    return _HalfAnswer(None, first.values[place], names, covariance)
+    first, values = answers[0], np.array([answer.values for answer in answers])
+    place = np.flatnonzero(np.all(values == values[:1], axis=0)) - values.shape[1]  # from the end
+    names = tuple(first.names[k] for k in place)
+    return _HalfAnswer(None, values[0, place], names, first.covariance[np.ix_(place, place)])
 
 
 def _part(name: str, a: _HalfAnswer, b: _HalfAnswer) -> SplitPart:
@@ -294,38 +291,28 @@ def _part(name: str, a: _HalfAnswer, b: _HalfAnswer) -> SplitPart:
     if a.names != b.names:
         words = f"expected fits of the same parameters, got {a.names} and {b.names}"
         raise ValueError(f"`refit`: {words}")
+    difference, covariance = a.values - b.values, a.covariance + b.covariance
     if a.pose is None or b.pose is None:
-        nothing = float("nan")
-        covariance = a.covariance + b.covariance
-        return SplitPart(name, a.names, a.values - b.values, covariance, nothing, nothing)
+        return SplitPart(name, a.names, difference, covariance, np.nan, np.nan)
     from scipy.spatial.transform import Rotation
 
-    point = (_known_best(a) + _known_best(b)) / 2
-    (place_a, covariance_a), (place_b, covariance_b) = (_about(x, point) for x in (a, b))
+    point, about_point = _known_best(covariance[:6, :6], b.pose[:3, 3]), np.eye(len(a.names))
+    about_point[3:6, :3] = -skew(point)
+    of_body = moved(inverse(b.pose), point)
     turn = Rotation.from_matrix(a.pose[:3, :3] @ b.pose[:3, :3].T).as_rotvec()
-    shift = place_a - place_b
-    difference = np.concatenate([turn, shift, a.values - b.values])
+    shift = moved(a.pose, of_body) - moved(b.pose, of_body)
+    difference = np.concatenate([turn, shift, difference])
     angle, distance = (float(np.linalg.norm(x)) for x in (turn, shift))
-    return SplitPart(name, a.names, difference, covariance_a + covariance_b, angle, distance)
+    return SplitPart(name, a.names, difference, carried(covariance, about_point), angle, distance)
 
 
-def _known_best(answer: _HalfAnswer) -> np.ndarray:
-    """The point (3,) of the body whose place is known best; its origin where the pose is not
-    determined."""
-    part = answer.covariance[:6, :6]
-    if answer.pose is None or not np.all(np.isfinite(part)):
-        return np.zeros(3)
+def _known_best(covariance: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
+    """The point (3,) that a twist of this covariance (6, 6) moves least; another one where the
+    twist is not determined."""
+    if not np.all(np.isfinite(covariance)):
+        return otherwise
     # The variance of turn x r + shift is least where its derivative by r is 0.
-    turns, across = part[:3, :3], part[:3, 3:]
+    turns, across = covariance[:3, :3], covariance[:3, 3:]
     curl = np.array([across[1, 2] - across[2, 1], across[2, 0] - across[0, 2],
                      across[0, 1] - across[1, 0]])  # fmt: skip
-    inertia = np.trace(turns) * np.eye(3) - turns
-    return moved(inverse(answer.pose), np.linalg.lstsq(inertia, curl, rcond=None)[0])
-
-
-def _about(answer: _HalfAnswer, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The place (3,) of a point of the body, and the answer's covariance by turns about it."""
-    assert answer.pose is not None
-    place, by_twist = moved(answer.pose, point), np.eye(len(answer.names))
-    by_twist[3:6, :3] = -skew(place)
-    return place, carried(answer.covariance, by_twist)
+    return np.linalg.lstsq(np.trace(turns) * np.eye(3) - turns, curl, rcond=None)[0]
