@@ -74,21 +74,6 @@ class Certificate(NamedTuple):
         return "\n".join([_summary(self), HEAD, *map(_line, self.rows)])
 
 
-class _Rendering(NamedTuple):
-    """An image under test at a point, a camera and a scene.
-
-    - `fine`: the point in JAX's default float type, for differences; `middle`: the image there.
-    - `weight`, `gradient`: one pull through reverse mode: of the image's weighted sum.
-    """
-
-    image: Callable[[Camera, Scene], Array]
-    point: Any
-    fine: Any
-    middle: np.ndarray
-    weight: np.ndarray
-    gradient: Any
-
-
 def check_gradients(
     camera: Camera,
     scene: Scene,
@@ -125,30 +110,29 @@ def check_gradients(
     ```
     """
     _check(camera, scene, tolerance, directions)
-    rendering = _rendering(image, camera, scene, seed)
+    point = _cast((camera, scene), camera.e.dtype)
+    fine = _cast(point, jnp.zeros(()).dtype)  # for differences: the very same camera and scene
+    rendered = _render(image, fine)
+    _check_image(rendered, camera)
     scales = Scales.for_precision(
-        camera.e.dtype, rendering.middle.dtype, max(camera.H, camera.W), tolerance
+        camera.e.dtype, rendered.dtype, max(camera.H, camera.W), tolerance
     )
-    probes = camera_and_scene(rendering.point, scales, directions, seed)
-    rows = tuple(_row(rendering, probe, scales) for probe in probes)
+    random, middle = np.random.default_rng(seed), np.asarray(rendered, float)
+    # Weights are exact in either precision; none is small, so that every pixel counts.
+    weight = random.uniform(0.5, 1.5, middle.shape) * random.choice([-1, 1], middle.shape)
+    weight = weight.astype(np.float32)
+    gradient = _gradient(image, point, jnp.asarray(weight))
+    rows = []
+    for probe in camera_and_scene(point, scales, directions, seed):
+        derivative = np.asarray(_forward(image, point, probe.direction), float)
+        least = scales.least * scales.step_px / probe.step
+        gap = _mode_gap(gradient, probe, weight * derivative, least)
+        rows.append(_row(probe, derivative, middle, _moved(image, fine, probe), gap, scales))
     verdicts = {row.verdict for row in rows}
-    certificate = Certificate(rows, "ok" in verdicts and verdicts <= {*RIGHT})
+    certificate = Certificate(tuple(rows), "ok" in verdicts and verdicts <= {*RIGHT})
     if verbose:
         print(certificate)
     return certificate
-
-
-def _rendering(image: Callable, camera: Camera, scene: Scene, seed: int) -> _Rendering:
-    """Return an image, rendered and pulled back; no weight is small, so every pixel counts."""
-    point = _cast((camera, scene), camera.e.dtype)
-    fine = _cast(point, jnp.zeros(()).dtype)  # exact: the very same camera and scene
-    middle = _render(image, fine)
-    _check_image(middle, camera)
-    random = np.random.default_rng(seed)
-    weight = random.uniform(0.5, 1.5, middle.shape) * random.choice([-1, 1], middle.shape)
-    weight = weight.astype(np.float32)  # exact in either precision
-    gradient = _gradient(image, point, jnp.asarray(weight))
-    return _Rendering(image, point, fine, np.asarray(middle), weight.astype(float), gradient)
 
 
 def _cast(point: Any, dtype: np.dtype) -> Any:
@@ -176,27 +160,28 @@ def _gradient(image: Callable, point: Any, weight: Array) -> Any:
     return eqx.filter_grad(loss)(point)
 
 
-def _moved_image(rendering: _Rendering, probe: Probe, h: float) -> np.ndarray:
-    """Return the image at h times a direction from the point."""
-    shift = jax.tree.map(lambda x: x.astype(float) * h, probe.direction)
-    return np.asarray(_render(rendering.image, eqx.apply_updates(rendering.fine, shift)), float)
+def _moved(image: Callable, point: Any, probe: Probe) -> np.ndarray:
+    """Return the image at each step along a direction (2, K, H, W), forth and back."""
+    shift = lambda h: jax.tree.map(lambda x: x.astype(float) * h, probe.direction)
+    at = lambda h: np.asarray(_render(image, eqx.apply_updates(point, shift(h))), float)
+    return np.stack([[at(side * h) for h in STEPS] for side in (probe.step, -probe.step)])
 
 
-def _row(rendering: _Rendering, probe: Probe, scales: Scales) -> Row:
-    derivative = _forward(rendering.image, rendering.point, probe.direction)
-    derivative = np.asarray(derivative, float)
-    steps = probe.step * np.asarray(STEPS)
-    up, down = (
-        np.stack([_moved_image(rendering, probe, h) for h in sign * steps]) for sign in (1, -1)
-    )
+def _row(
+    probe: Probe,
+    derivative: np.ndarray,
+    middle: np.ndarray,
+    moved: np.ndarray,
+    gap: float,
+    scales: Scales,
+) -> Row:
+    up, down = moved
     tolerance, least = scales.tolerance, scales.least * scales.step_px / probe.step
     with np.errstate(invalid="ignore"):  # the verdict reports it, no warning
         largest = np.max(np.abs(up[0] - down[0])) / (2 * probe.step)
         scale = max(largest, least)
-        middle = rendering.middle.astype(float)
         nearby = slopes(middle, up, down, probe.step, tolerance / 2 * scale)
         errors = outside(derivative, nearby) / scale
-        gap = _mode_gap(rendering, probe, derivative, least)
     verdict = _verdict(errors, gap, nearby, scales, scale)
     if verdict == "ok" and largest <= tolerance * least:
         verdict = "moves nothing"
@@ -218,15 +203,16 @@ def _verdict(errors: np.ndarray, gap: float, nearby: Slopes, scales: Scales, sca
     return "undecided" if np.sum(nearby.kink) > KINKS_ALLOWED * np.sum(moving) else "ok"
 
 
-def _mode_gap(rendering: _Rendering, probe: Probe, derivative: np.ndarray, least: float) -> float:
-    """Return the relative distance of <gradient, direction> from <weight, derivative>."""
-    parts = (jax.tree.leaves(tree) for tree in (rendering.gradient, probe.direction))
+def _mode_gap(gradient: Any, probe: Probe, pushed: np.ndarray, least: float) -> float:
+    """Return the relative distance of <gradient, direction> from the sum of the weighted
+    derivative."""
+    parts = (jax.tree.leaves(tree) for tree in (gradient, probe.direction))
     slopes, ways = ([np.asarray(x, float) for x in part] for part in parts)
     # (A NaN where the direction is 0 belongs to another row.)
     pulled = sum(np.sum(g[x != 0] * x[x != 0]) for g, x in zip(slopes, ways, strict=True))
-    parts = rendering.weight * derivative
-    scale = max(np.sum(np.abs(parts)), least * sum(derivative.shape))
-    return float(np.abs(pulled - np.sum(parts)) / scale)
+    scale = max(np.sum(np.abs(pushed)), least * sum(pushed.shape))
+    with np.errstate(invalid="ignore"):
+        return float(np.abs(pulled - np.sum(pushed)) / scale)
 
 
 def _check_image(image: Any, camera: Camera) -> None:
