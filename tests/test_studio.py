@@ -27,7 +27,7 @@ from pinhole_jax import __main__ as command
 from pinhole_jax._camera.axes import axes_of
 from pinhole_jax._files.exif import FieldOfView
 from pinhole_jax._studio import drawing, hand, session, strokes
-from pinhole_jax._studio.bench import Bench
+from pinhole_jax._studio.bench import Bench, as_json
 from pinhole_jax._studio.strokes import Stroke
 from pinhole_jax._studio.workpiece import mesh_file, photo_file, workpiece_of
 from pinhole_jax.batch.inputs import Start
@@ -79,11 +79,10 @@ def put(bench, **changes):
     bench.session = bench.session._replace(**changes)
 
 
-def do(bench, action, /, **numbers):
-    """Return an action's answer, gone through JSON as the page's is."""
-    pushed = []
-    answer = bench.act(action, json.loads(json.dumps(numbers)), pushed.append)
-    return json.loads(json.dumps(answer, allow_nan=False))
+def do(bench, action, /, push=lambda news: None, **numbers):
+    """Return an action's answer, gone through JSON as the page's is; `push` hears the news."""
+    heard = lambda x: json.loads(as_json(x), parse_constant=pytest.fail)
+    return heard(bench.act(action, heard(numbers), lambda news: push(heard(news))))
 
 
 # Strokes.
@@ -357,7 +356,7 @@ def fitted(bench, mask):
 def test_fit_finds_the_camera_and_reports_its_path(fitted):
     pushed = []
     put(fitted, known_phi=0.6)
-    told = fitted.act("fit", {"free": ["position", "orientation"]}, pushed.append)
+    told = do(fitted, "fit", pushed.append, free=["position", "orientation"])
     angle, shift = pj.pose_error(fitted.session.camera, camera())
     assert np.rad2deg(angle) < 0.1
     assert shift < 0.02

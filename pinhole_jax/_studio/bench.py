@@ -6,6 +6,7 @@ values, and raises ValueError with a message for the person if it is impossible.
 
 import base64
 import inspect
+import json
 import math
 import tempfile
 import threading
@@ -38,7 +39,7 @@ from .strokes import (
 )
 from .workpiece import Workpiece, whole_path, workpiece_of
 
-#: The answer to an action, as JSON holds it.
+#: The answer to an action, as JSON holds it; numbers may be arrays.
 Answer = dict[str, Any]
 #: The actions that the page may call.
 ACTIONS = [
@@ -65,6 +66,11 @@ ACTIONS = [
 ]
 #: The number of steps to undo, and of guesses from strokes that are kept for them.
 MOST_UNDONE, MOST_GUESSES = 200, 16
+
+
+def as_json(message: Answer) -> str:
+    """Return an answer, whose numbers may be arrays, as JSON."""
+    return json.dumps(message, default=np.ndarray.tolist)
 
 
 class StopRequest(Exception):
@@ -147,7 +153,6 @@ class Bench:
             "H": H,
             "free": list(self.session.free),
             "formats": list(FORMATS),
-            "folder": str(self.folder),
             "view": self.look(),
             "mask": self._mask_description(),
             "fit": self._fit_description(),

@@ -9,8 +9,7 @@ import numpy as np
 
 from .. import Camera, Fit, Scene, outline, project, rays_through
 from ..plot import outline_sigma
-from ..show.outline import from_top
-from ..show.space import axes_of
+from ..show.space import axes_of, from_top
 from .hand import focal_px, principal_point
 
 #: A grid of straight lines has this many of them along the shorter side of the picture.
@@ -27,19 +26,19 @@ def camera_numbers(camera: Camera) -> dict[str, Any]:
     return {
         "W": camera.W,
         "H": camera.H,
-        "eye": np.asarray(camera.e, float).tolist(),
-        "axes": axes_of(camera).tolist(),
-        "focal": focal_px(camera).tolist(),
-        "principal": principal_point(camera).tolist(),
+        "eye": np.asarray(camera.e, float),
+        "axes": axes_of(camera),
+        "focal": focal_px(camera),
+        "principal": principal_point(camera),
         "phi_degrees": float(np.rad2deg(float(camera.phi))),
         "model": None if distortion is None else type(distortion).__name__,
         "distortion": {} if distortion is None else distortion.coefficients(),
     }
 
 
-def outline_lines(camera: Camera, scene: Scene) -> list[list[float]]:
-    """Return the outline as lines [x, y, x, y], to a hundredth of a px."""
-    return from_top(camera, outline(camera, scene)).round(2).reshape(-1, 4).tolist()
+def outline_lines(camera: Camera, scene: Scene) -> np.ndarray:
+    """Return the outline as lines (n, 4), x, y, x, y to a hundredth of a px."""
+    return from_top(camera, outline(camera, scene)).round(2).reshape(-1, 4)
 
 
 def band_of(fit: Fit, scene: Scene) -> dict[str, Any]:
@@ -51,12 +50,12 @@ def band_of(fit: Fit, scene: Scene) -> dict[str, Any]:
     shown = sigma[np.isfinite(sigma) & (sigma > 0)]
     return {
         "lines": outline_lines(fit.camera, scene),
-        "half_px": np.nan_to_num(sigma).clip(0, 1e4).round(3).tolist(),
+        "half_px": np.nan_to_num(sigma).clip(0, 1e4).round(3),
         "median_px": float(np.median(shown)) if shown.size else 0.0,
     }
 
 
-def grid_lines(camera: Camera) -> list[list[list[float]]]:
+def grid_lines(camera: Camera) -> list[np.ndarray]:
     """Return a grid of lines straight in space, as the lens shows them: rows of points."""
     size = np.array([camera.W, camera.H])
     x, y = REACH * size
@@ -68,18 +67,16 @@ def grid_lines(camera: Camera) -> list[list[list[float]]]:
     parts = []
     for line, inside in zip(bent, near, strict=True):
         runs = np.split(line, np.flatnonzero(np.diff(inside)) + 1)
-        parts += [run.tolist() for run in runs[int(not inside[0]) :: 2]]
+        parts += runs[int(not inside[0]) :: 2]
     return parts
 
 
-def straight_lines(camera: Camera, lines: Sequence[Any]) -> list[list[list[float]]]:
+def straight_lines(camera: Camera, lines: Sequence[Any]) -> np.ndarray:
     """Return lines straight in space, each from one place of the picture to another, as the lens
-    shows them."""
-    if not lines:
-        return []
+    shows them: rows of points."""
     ends = from_top(camera, np.reshape(lines, (-1, 2, 2))).astype(camera.e.dtype)
     rays = np.asarray(rays_through(camera, ends).direction, float) @ axes_of(camera).T
-    return _bent(camera, rays[..., :2] / rays[..., 2:]).tolist()
+    return _bent(camera, rays[..., :2] / rays[..., 2:])
 
 
 def _bent(camera: Camera, ends: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from .bench import Bench
+from .bench import Bench, as_json
 from .workpiece import mesh_file, photo_file
 
 try:
@@ -105,7 +105,7 @@ class Studio:
         await socket.send_json({"push": "tab", "tab": tab})
         loop = asyncio.get_running_loop()
         send = lambda message: asyncio.run_coroutine_threadsafe(
-            socket.send_str(json.dumps(message)), loop
+            socket.send_str(as_json(message)), loop
         )
         try:
             async for message in socket:
