@@ -28,6 +28,7 @@ from pinhole_jax._command.arguments import VERBS, parse
 from pinhole_jax._command.options import record_of
 from pinhole_jax._files.naming import named, renamed
 from pinhole_jax._files.process import set_up
+from pinhole_jax._files.progress import NOTES, listening
 from pinhole_jax._fit.words import STATUSES
 from pinhole_jax._solver.parameters import NAMES
 from pinhole_jax.batch.inputs import read_start
@@ -399,10 +400,9 @@ sys.exit(command.main(["render", "a.obj", "c.json"]))
 def start_of(words, size=(96, 80)):
     """Return the camera of a command line; errors are as the command prints them."""
     options = parse(["fit", "a.ply", "b.png", *words.split()])
-    with named(**options.names):
-        return read_start(
-            record_of(options), size, lambda text: print(renamed(text, options.names))
-        )
+    tell = lambda text: print(renamed(text, options.names))
+    with named(**options.names), listening(tell, NOTES):
+        return read_start(record_of(options), size)
 
 
 def test_known_intrinsics_are_read_as_opencv_has_them(tmp_path):

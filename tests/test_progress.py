@@ -48,7 +48,7 @@ def test_fit_tells_what_goes_on_and_how_long_it_took(monkeypatch, capsys):
 def test_fit_names_its_stages():
     mask = np.asarray(pj.silhouette(CAMERA, SCENE)) > 0.5
     stages = []
-    with progress._listening(stages.append):
+    with progress.listening(stages.append):
         pj.fit_camera(SCENE, mask, CAMERA)
     assert "fitting from the start" in stages
 

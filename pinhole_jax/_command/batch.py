@@ -2,24 +2,15 @@
 
 import argparse
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from .. import formats
 from .._files.interrupt import interrupts_raise
 from .._files.naming import named
 from .._files.paths import written_path
-from .._files.progress import Ticker
-from ..batch import (
-    NO_FIT,
-    Count,
-    Results,
-    fit_many,
-    fit_of,
-    merge,
-    read_dataset,
-)
+from .._files.progress import Ticker, say
+from ..batch import NO_FIT, Results, fit_many, fit_of, merge, read_dataset
 from ..batch.inputs import check_fov
 from .options import record_of
 from .outputs import check_outputs
@@ -32,11 +23,11 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
     rows = None if options.dataset is None else Path(options.output) / "rows"
     check_outputs(output=rows, merge=options.merge)
     if options.fov is not None:
-        check_fov(options.fov, progress.tell)
+        check_fov(options.fov)
     results = Results(options.output)
     if options.dataset is not None:
         with named(path="dataset"):
-            _fit(options, results, progress.say)
+            _fit(options, results)
     counts = results.counts()
     progress.done()
     print(f"rows       {len(results)} in {options.output}")
@@ -50,7 +41,7 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
     return int(failure is not None)
 
 
-def _fit(options: argparse.Namespace, results: Results, say: Callable[[str], Any]) -> None:
+def _fit(options: argparse.Namespace, results: Results) -> None:
     """Fit the records that have no row yet."""
     if not (options.resume or options.retry) and len(results):
         raise ValueError(
@@ -65,14 +56,13 @@ def _fit(options: argparse.Namespace, results: Results, say: Callable[[str], Any
         **record_of(options),
     )
     say("counting records")
-    on_step: Callable[[Count], Any] = lambda count: say(str(count))
     with interrupts_raise():
         fit_many(
             data,
             track=options.track,
             workers=options.workers,
             out=options.output,
-            progress=on_step,
+            progress=say,
             shard=_shard(options.shard),
             time_limit=options.time_limit or None,
             cached=not options.no_cache,

@@ -22,7 +22,7 @@ from ..batch.inputs import read_mask, read_scene
 from ..names import STATUSES
 from .hand_eye import read_views
 from .options import record_of
-from .outputs import check_outputs, written_words
+from .outputs import check_outputs, say_written
 
 #: The exit status when the masks cannot tell.
 UNTOLD = 3
@@ -63,10 +63,8 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
     for weak in fit.weak:
         print(f"weak       {weak}")
     if options.output is not None:
-        words = written_words(options.output)
-        with named(path="output"):
+        with say_written(options.output), named(path="output"):
             io.save_fit(options.output, fit)
-        print(words)
     return int(not is_fine) if is_told else UNTOLD
 
 
@@ -83,8 +81,8 @@ def _reference(path: str) -> Camera | Fit:
 def _mesh(options: argparse.Namespace, progress: Ticker) -> CheckData:
     if len(options.files) != 1:
         raise ValueError("`MASK`: expected one image of MESH (of a robot: ROBOT.urdf JOINTS MASKs)")
-    mask = read_mask(record_of(options, mask=options.files[0]), progress.tell)
-    scene = read_scene(options.mesh, progress.tell)
+    mask = read_mask(record_of(options, mask=options.files[0]))
+    scene = read_scene(options.mesh)
     progress.say("fitting (the first time compiles, some seconds)")
     fitted = lambda weight, start: fit_camera(scene, mask, start, options.free, weight=weight)
     return None, fitted, lambda fit: outline_halves(mask, fit.mask_error)
@@ -94,7 +92,7 @@ def _robot(options: argparse.Namespace, progress: Ticker) -> CheckData:
     if len(options.files) < 2:
         raise ValueError("`MASK`: expected JOINTS, and an image for each of its rows, got none")
     options.robot, (options.joints, *options.masks) = options.mesh, options.files
-    _, views = read_views(options, progress.tell)
+    _, views = read_views(options)
     if options.split and len(views) < 2:
         raise ValueError("`split`: expected at least two views of a robot, got one")
     progress.say(f"fitting {len(views)} views (the first time compiles, some seconds)")

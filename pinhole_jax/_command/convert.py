@@ -17,7 +17,10 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
     sizes = ", ".join(dict.fromkeys(f"{camera.W} x {camera.H}" for camera in cameras.values()))
     count = "1 camera" if len(cameras) == 1 else f"{len(cameras)} cameras"
     progress.done()
-    words = f"{target}, {count}, {sizes}"
-    with say_written(options.output, words), named(path="output", format="to", cameras="input"):
+    words = f" ({target}, {count}, {sizes})"
+    with (
+        say_written(options.output, words=words),
+        named(path="output", format="to", cameras="input"),
+    ):
         formats.write(options.output, cameras, options.to)
     return 0

@@ -20,7 +20,7 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
     check_outputs(output=Path(options.output) / "camera.json", report=options.report)
     if options.refine and options.image is None:
         raise ValueError("`refine`: expected a photo, got none: add --image PHOTO")
-    inputs = read_inputs(record_of(options), progress.tell)
+    inputs = read_inputs(record_of(options))
     scene, mask, centres = inputs.scene, inputs.target, options.pixel_centres
     picture = mask if inputs.photo is None else inputs.photo
     if not options.refine:

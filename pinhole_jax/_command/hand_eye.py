@@ -1,13 +1,13 @@
 """`pinhole-jax hand-eye`: the camera that sees a robot, from a URDF, joint angles and masks."""
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from .. import Camera, JointFit, JointView, fit_joint, joint_observability, split_check
+from .. import Camera, JointView, fit_joint, joint_observability, split_check
 from .._files.naming import named
 from .._files.progress import Ticker
 from ..batch.inputs import poseless_camera, read_mask, read_photo, read_start
@@ -23,7 +23,7 @@ from .outputs import check_outputs, write_results
 def run(options: argparse.Namespace, progress: Ticker) -> int:
     """Fit, print and write; return 0, or 1 for a fit not to trust."""
     check_outputs(output=Path(options.output) / "camera.json", report=options.report)
-    robot, views = read_views(options, progress.tell)
+    robot, views = read_views(options)
     masks = [np.asarray(view.target) for view in views]
     pictures = _pictures(options, masks)
     if options.holdout and len(views) < 2:
@@ -36,7 +36,7 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
             raise ValueError(f"`propose`: expected `pose` in --free, got {options.free!r}")
         proposed = _views(robot, options, options.propose, "propose")
     H, W = masks[0].shape
-    known = read_start(record_of(options), (W, H), progress.tell)
+    known = read_start(record_of(options), (W, H))
     camera = known.camera or poseless_camera(known.phi, W, H, known.lens)
 
     progress.say(f"fitting {len(views)} views (the first time compiles, some seconds)")
@@ -51,19 +51,26 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
         factors = worths(views, fit.camera, options.free, proposed, zeros)
         more["proposed"] = best_postures(factors)
 
+    progress.say("drawing")
+    drawings = {
+        f"overlay_{k}.png": overlay(picture, view.camera, view.scene)
+        for k, (picture, view) in enumerate(zip(pictures, fit.views, strict=True))
+        if finite
+    }
     progress.done()
     print(fit)
     if finite:
         print(object_pose(fit.cameras["camera"], pixel_centres=options.pixel_centres))
     for name, words in more.items():
         print(f"{name:11}{words}")
-    _write(options, fit, masks, pictures, more)
+    names = [Path(name).name for name in options.masks]
+    more |= {"frame": options.in_hand or "the base", "pixel_centres": options.pixel_centres}
+    page = lambda: robot_page(fit, masks, pictures, names, **more)
+    write_results(options, fit.cameras["camera"]._replace(status=fit.status), drawings, page)
     return 0 if fit.status == "converged" else 1
 
 
-def read_views(
-    options: argparse.Namespace, say: Callable[[str], Any]
-) -> tuple[Robot, list[JointView]]:
+def read_views(options: argparse.Namespace) -> tuple[Robot, list[JointView]]:
     """Return a file's robot (`robot`), without some links (`leave_out`), and its views: `masks` of
     the postures in a file (`joints`)."""
     with named(path="ROBOT"):
@@ -74,7 +81,7 @@ def read_views(
             f"`MASK`: expected one for each of {len(views)} rows of {options.joints!r}, got"
             f" {len(options.masks)}"
         )
-    masks = (read_mask(record_of(options, mask=x), say) for x in options.masks)
+    masks = (read_mask(record_of(options, mask=x)) for x in options.masks)
     return robot, [view._replace(target=mask) for view, mask in zip(views, masks, strict=True)]
 
 
@@ -116,27 +123,6 @@ def _pictures(options: argparse.Namespace, masks: list[np.ndarray]) -> list[np.n
             f"`images`: expected one for each of {len(masks)} masks, got {len(options.images)}"
         )
     return [read_photo(path, mask) for path, mask in zip(options.images, masks, strict=True)]
-
-
-def _write(
-    options: argparse.Namespace,
-    fit: JointFit,
-    masks: list[np.ndarray],
-    pictures: list[np.ndarray],
-    more: dict[str, Any],
-) -> None:
-    """Write the camera, each picture with the outline on it, and the page, with `more` sections."""
-    finite = fit.status != "non_finite"
-    with Ticker("drawing"):
-        drawings = {
-            f"overlay_{k}.png": overlay(picture, view.camera, view.scene)
-            for k, (picture, view) in enumerate(zip(pictures, fit.views, strict=True))
-            if finite
-        }
-    names, frame = [Path(name).name for name in options.masks], options.in_hand or "the base"
-    more = {"frame": frame, "pixel_centres": options.pixel_centres, **more}
-    page = lambda: robot_page(fit, masks, pictures, names, **more)
-    write_results(options, fit.cameras["camera"]._replace(status=fit.status), drawings, page)
 
 
 # Postures in which one more mask would help.

@@ -11,7 +11,7 @@ import numpy as np
 
 from .. import Fit, io
 from .._files.naming import named
-from .._files.paths import check_writable, is_stream, written_path
+from .._files.paths import FilePath, check_writable, is_stream, written_path
 from .._files.progress import Ticker
 
 
@@ -23,9 +23,13 @@ def check_outputs(**options: Any) -> None:
                 check_writable(path)
 
 
-def written_words(*paths: str | Path) -> str:
-    """Return the line about files to write, and which of them are replaced."""
-    return f"written    {', '.join(map(written_path, paths))}"
+@contextmanager
+def say_written(*paths: FilePath, words: str = "") -> Iterator[None]:
+    """Print that files were written, and which were replaced: on stderr if one went to stdout or a
+    pipe."""
+    line = f"written    {', '.join(map(written_path, paths))}{words}"
+    yield
+    print(line, file=sys.stderr if any(map(is_stream, paths)) else sys.stdout)
 
 
 def write_results(
@@ -38,20 +42,11 @@ def write_results(
     the camera is finite; say so."""
     folder, report = Path(options.output), options.report if fit.status != "non_finite" else None
     written = [folder / name for name in ("camera.json", *drawings)]
-    words = written_words(*written, *([] if report is None else [report]))
-    with named(path="output"):
-        io.save_fit(written[0], fit, pixel_centres=options.pixel_centres)
-        for path, drawing in zip(written[1:], drawings.values(), strict=True):
-            io.save_image(path, drawing)
-    if report is not None:
-        with Ticker("drawing the page"), named(path="report"):
-            io.save_text(report, page())
-    print(words)
-
-
-@contextmanager
-def say_written(path: str, words: str) -> Iterator[None]:
-    """Print that a file was written: on stderr if it went to stdout or a pipe."""
-    line = written_words(path)
-    yield
-    print(f"{line} ({words})", file=sys.stderr if is_stream(path) else sys.stdout)
+    with say_written(*written, *([] if report is None else [report])):
+        with named(path="output"):
+            io.save_fit(written[0], fit, pixel_centres=options.pixel_centres)
+            for path, drawing in zip(written[1:], drawings.values(), strict=True):
+                io.save_image(path, drawing)
+        if report is not None:
+            with Ticker("drawing the page"), named(path="report"):
+                io.save_text(report, page())

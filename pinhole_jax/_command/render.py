@@ -19,10 +19,10 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
     if camera.W * camera.H > io.MOST_PIXELS:
         words = f"at most {io.MOST_PIXELS} pixels, got {camera.W} x {camera.H}"
         raise ValueError(f"`camera`: expected {words} (in {options.camera!r})")
-    scene = read_scene(options.mesh, progress.tell)
+    scene = read_scene(options.mesh)
     image = np.asarray(silhouette(camera, scene))
     progress.done()
-    words = f"{camera.W} x {camera.H}, {image.mean():.1%} covered"
-    with say_written(options.output, words), named(path="output"):
+    words = f" ({camera.W} x {camera.H}, {image.mean():.1%} covered)"
+    with say_written(options.output, words=words), named(path="output"):
         io.save_image(options.output, image)
     return 0

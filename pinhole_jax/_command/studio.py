@@ -4,13 +4,11 @@ import argparse
 import asyncio
 import math
 import webbrowser
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from .. import io
 from .._files.naming import named
-from .._files.progress import Ticker
+from .._files.progress import Ticker, tell
 from .._studio.bench import Bench
 from .._studio.session import MOST_BYTES, Session, new_session, session_from_text
 from .._studio.workpiece import Workpiece, workpiece_of
@@ -27,14 +25,13 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
 
     if not 0 <= options.port < 1 << 16:
         raise ValueError(f"`port`: expected a port, 0 to 65535, got {options.port}")
-    tell = progress.tell
     progress.say("reading mesh and photo")
     folder = Path(options.output)
-    workpiece, session = (_begun if options.session is None else _saved)(options, tell)
+    workpiece, session = (_begun if options.session is None else _saved)(options)
     with named(camera="session"):
         bench = Bench(workpiece, session, folder)
     if options.mask is not None:
-        bench.take_mask(read_mask(record_of(options, tidy=False), tell))
+        bench.take_mask(read_mask(record_of(options, tidy=False)))
     bench.look()  # raises errors before the page opens, and compiles the outline
     new_bench = lambda: Bench(workpiece, bench.session, folder)
 
@@ -53,7 +50,7 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
     return 0
 
 
-def _saved(options: argparse.Namespace, tell: Callable[[str], Any]) -> tuple[Workpiece, Session]:
+def _saved(options: argparse.Namespace) -> tuple[Workpiece, Session]:
     """Return a file's session, and its mesh and photo."""
     known = (options.mesh, options.photo, options.camera, options.fov, options.K, options.mask)
     if any(x is not None for x in known):
@@ -62,15 +59,15 @@ def _saved(options: argparse.Namespace, tell: Callable[[str], Any]) -> tuple[Wor
     with named(path="session", mesh="session", photo="session"):
         text = io.load_text(options.session, most_bytes=MOST_BYTES)
         session = session_from_text(text, options.session)
-        return workpiece_of(session.mesh, session.photo, tell), session
+        return workpiece_of(session.mesh, session.photo), session
 
 
-def _begun(options: argparse.Namespace, tell: Callable[[str], Any]) -> tuple[Workpiece, Session]:
+def _begun(options: argparse.Namespace) -> tuple[Workpiece, Session]:
     """Return the mesh and the photo of the command line, and the session that begins with them."""
     if None in (options.mesh, options.photo):
         raise ValueError("expected MESH and PHOTO, or --session FILE")
-    workpiece = workpiece_of(options.mesh, options.photo, tell)
-    known = read_start(record_of(options, free="phi"), workpiece.size, tell)
+    workpiece = workpiece_of(options.mesh, options.photo)
+    known = read_start(record_of(options, free="phi"), workpiece.size)
     session = new_session(workpiece, known, options.up)
     if session.known_phi is None:
         degrees = math.degrees(float(session.camera.phi))

@@ -20,22 +20,31 @@ COMPILING = (
     "/jax/core/compile/jaxpr_to_mlir_module_duration",
     "/jax/core/compile/jaxpr_trace_duration",
 )
-_listener: ContextVar[Callable[[str], Any] | None] = ContextVar("listener", default=None)
+Listener = Callable[[str], Any]
+#: What hears, in this thread, of the current step; of notes, which are to stay (nobody: `str`).
+STEPS: ContextVar[Listener | None] = ContextVar("steps", default=None)
+NOTES: ContextVar[Listener] = ContextVar("notes", default=str)
 
 
 def say(words: object) -> None:
     """Report the current step to this thread's listener, if there is one."""
-    if (listener := _listener.get()) is not None:
+    if (listener := STEPS.get()) is not None:
         listener(str(words))
 
 
+def tell(words: str) -> None:
+    """Tell a note to this thread's listener, if there is one."""
+    NOTES.get()(words)
+
+
 @contextmanager
-def _listening(listener: Callable[[str], Any]) -> Iterator[None]:
-    token = _listener.set(listener)
+def listening(listener: Listener, to: ContextVar[Any] = STEPS) -> Iterator[None]:
+    """Let a function hear of this thread's steps, or of its `NOTES`."""
+    token = to.set(listener)
     try:
         yield
     finally:
-        _listener.reset(token)
+        to.reset(token)
 
 
 @contextmanager
@@ -50,9 +59,9 @@ def shown(
         words = f"expected True, False, None or a function, got {progress!r}"
         raise ValueError(f"`progress`: {words}")
     if callable(progress) or progress is False:
-        with _listening(lambda words: None):
+        with listening(lambda words: None):
             yield progress or None
-    elif _listener.get() is not None:
+    elif STEPS.get() is not None:
         yield say
     elif progress or (progress is None and _is_notebook()):
         with Ticker(text, live=_is_notebook() or None) as ticker:
@@ -130,12 +139,13 @@ class Ticker:
         print(f"{clear}{renamed(text, self._names)}", file=sys.stderr, flush=True)
 
     def __enter__(self) -> "Ticker":
-        self._token = _listener.set(self.say)
+        self._tokens = STEPS.set(self.say), NOTES.set(self.tell)
         self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        _listener.reset(self._token)
+        STEPS.reset(self._tokens[0])
+        NOTES.reset(self._tokens[1])
         self.done()
 
     def done(self) -> None:

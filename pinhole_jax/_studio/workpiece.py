@@ -1,9 +1,8 @@
 """The workpiece of a session: a mesh and a photo, read once and shared by all tabs."""
 
-from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -36,16 +35,14 @@ class Workpiece(NamedTuple):
         return self.picture.shape[1], self.picture.shape[0]
 
 
-def workpiece_of(
-    mesh: str, photo: str, say: Callable[[str], Any] = lambda words: None
-) -> Workpiece:
+def workpiece_of(mesh: str, photo: str) -> Workpiece:
     """Return the workpiece of two files.
 
     Raises FileNotFoundError or ValueError as `load_mesh` and `load_image` do.
     """
     with named(path="photo"):
         picture = io.load_image(photo, rgb=True)
-    scene = read_scene(mesh, say)
+    scene = read_scene(mesh)
     extent = extent_of(points_of(scene))
     return Workpiece(whole_path(mesh), whole_path(photo), scene, picture, extent)
 

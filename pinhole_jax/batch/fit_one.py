@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import pinhole_jax as pj
 
-from .records import Record, check_id, check_record, digest_of, setting
+from .._files.progress import NOTES, listening
+from .records import Record, check_id, check_record, digest_of, plain_record, setting
 from .rows import Row, empty_row
 
 if TYPE_CHECKING:
@@ -36,7 +37,8 @@ def fit_one(record: Record, last: "Camera | None" = None) -> Row:
     notes: list[str] = []
     try:
         checked = check_record(record)
-        inputs = read_inputs(checked, notes.append)
+        with listening(notes.append, NOTES):
+            inputs = read_inputs(checked)
         if last is not None and inputs.camera is None and inputs.target.shape == (last.H, last.W):
             known = {"phi": inputs.phi, "lens": inputs.lens} if "K" in checked else {}
             inputs = inputs._replace(camera=last.replace(**known), phi=None, lens=None)
@@ -52,25 +54,14 @@ def fit_one(record: Record, last: "Camera | None" = None) -> Row:
 
 def _row_of(record: Record, fit: "Fit", words: str) -> Row:
     """Return a fit as a row."""
-    row = empty_row(record, fit.status, words) | {
-        "hash": digest_of(record),
-        "iou": float(fit.iou),
-        "rms": float(fit.rms),
-        "names": list(fit.names),
-        "std": fit.std.tolist(),
-        "covariance": fit.covariance.ravel().tolist(),
-        "weak": list(fit.weak),
-        "modes": len(fit.modes),
-        "steps": [int(n) for n in fit.steps],
-    }
-    if fit.status == "non_finite":
-        return row
-    centres = setting(record, "pixel_centres")
-    plain = pj.io.fit_to_dict(fit._replace(history=()), pixel_centres=centres)
-    pose = pj.formats.object_pose(fit, pixel_centres=centres)
-    return row | {
-        **{name: plain[name] for name in ("e", "p", "u", "phi", "W", "H")},
-        **{name: getattr(pose, name).ravel().tolist() for name in "KRt"},
-        "lens": json.dumps(plain["lens"]),
-        "fit": json.dumps(plain),
-    }
+    values = {name: getattr(fit, name) for name in ("iou", "rms", "names", "std", "weak", "steps")}
+    values |= {"covariance": fit.covariance.ravel(), "modes": len(fit.modes)}
+    if fit.status != "non_finite":
+        centres = setting(record, "pixel_centres")
+        plain = pj.io.fit_to_dict(fit._replace(history=()), pixel_centres=centres)
+        pose = pj.formats.object_pose(fit, pixel_centres=centres)
+        values |= {name: plain[name] for name in ("e", "p", "u", "phi", "W", "H")}
+        values |= {name: getattr(pose, name).ravel() for name in "KRt"}
+        values |= {"lens": json.dumps(plain["lens"]), "fit": json.dumps(plain)}
+    values["hash"] = digest_of(record)
+    return empty_row(record, fit.status, words) | plain_record(values)

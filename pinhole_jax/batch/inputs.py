@@ -6,7 +6,7 @@ import math
 import os
 import threading
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,10 +14,9 @@ import numpy as np
 import pinhole_jax as pj
 
 from .._files.naming import named
+from .._files.progress import tell
 from .records import PICTURES, Record, files_of, setting
 
-#: A function that prints or keeps a sentence about an input.
-Say = Callable[[str], Any]
 Size = tuple[int, int]
 #: A field of view (degrees) below `LEAST_FOV` is a mistake. A principal point farther from the
 #: middle than this share of the picture's width is unusual.
@@ -49,30 +48,29 @@ class Inputs(NamedTuple):
     photo: np.ndarray | None = None
 
 
-def read_inputs(record: Record, say: Say) -> Inputs:
+def read_inputs(record: Record) -> Inputs:
     """Return the inputs of a fit, the mesh read last; raise ValueError naming the wrong field."""
     if str(record["mesh"]).lower().endswith(PICTURES):
         words = f"expected triangles, got the picture {record['mesh']!r}"
         raise ValueError(f"`mesh`: {words}: are `mesh` and `mask` exchanged?")
-    mask = read_mask(record, say)
-    start = read_start(record, (mask.shape[1], mask.shape[0]), say)
+    mask = read_mask(record)
+    start = read_start(record, (mask.shape[1], mask.shape[0]))
     weight = photo = None
     if "weight" in record:
         with named(path="weight"):
             weight = pj.io.load_mask(record["weight"], "luminance") / 255.0
     if "photo" in record:
         photo = read_photo(record["photo"], mask)
-    return Inputs(
-        read_scene(record["mesh"], say), mask, *start, setting(record, "free"), weight, photo
-    )
+    scene = read_scene(record["mesh"])
+    return Inputs(scene, mask, *start, setting(record, "free"), weight, photo)
 
 
-def read_mask(record: Record, say: Say) -> np.ndarray:
+def read_mask(record: Record) -> np.ndarray:
     """Return the mask (H, W), uint8, without the crumbs and pinholes that `tidy` removes."""
     mask, invert = record["mask"], setting(record, "invert")
     with named(path="mask", rle="mask"):
         if isinstance(mask, str):
-            image = pj.io.load_mask(mask, record.get("mask_from"), say, invert=invert)
+            image = pj.io.load_mask(mask, record.get("mask_from"), tell, invert=invert)
         else:
             image = pj.io.mask_of_rle(mask)
             image = 255 - image if invert else image
@@ -81,7 +79,7 @@ def read_mask(record: Record, say: Say) -> np.ndarray:
         changes = [note for note in notes if note.endswith(("dropped", "filled"))]
         if shown := notes if speck is True else changes:
             hint = "turn this off with `tidy` (on the command line: --no-tidy)"
-            say(f"mask: {'; '.join(shown)}; {hint}")
+            tell(f"mask: {'; '.join(shown)}; {hint}")
     return image
 
 
@@ -95,7 +93,7 @@ def read_photo(path: str, mask: np.ndarray) -> np.ndarray:
     return picture
 
 
-def read_scene(path: str, say: Say) -> pj.Scene:
+def read_scene(path: str) -> pj.Scene:
     """Return the mesh of a file, which is kept as long as the file stays the same."""
     changed = 0.0
     with contextlib.suppress(OSError, TypeError, ValueError):  # its reader says why
@@ -103,7 +101,7 @@ def read_scene(path: str, say: Say) -> pj.Scene:
     with named(path="mesh", vertices="mesh"), _reading:
         scene, notes = _scene(path, changed)
     for note in notes:
-        say(note)
+        tell(note)
     return scene
 
 
@@ -122,7 +120,7 @@ def _scene(path: str, changed: float) -> tuple[pj.Scene, list[str]]:
 # The camera.
 
 
-def read_start(record: Record, size: Size, say: Say) -> Start:
+def read_start(record: Record, size: Size) -> Start:
     """Return the camera, or its field of view and lens, for a mask of this size (W, H).
 
     Raises ValueError for fields that do not go together, and for sizes that differ.
@@ -141,8 +139,8 @@ def read_start(record: Record, size: Size, say: Say) -> Start:
     elif ways == ["K"]:
         camera = _K_camera(record, picture)
         if "crop" not in record:
-            _check_centre(camera, setting(record, "pixel_centres"), say)
-    elif (phi := _phi(record, say)) is None:
+            _check_centre(camera, setting(record, "pixel_centres"))
+    elif (phi := _phi(record)) is None:
         return Start()
     else:
         camera = poseless_camera(phi, *picture)
@@ -227,8 +225,8 @@ def numbers_of(name: str, value: Any, *counts: int) -> list[float]:
     raise ValueError(f"`{name}`: {words}, got {value!r}")
 
 
-def _check_centre(camera: pj.Camera, pixel_centres: Any, say: Say) -> None:
-    """Raise ValueError for a principal point outside the picture; say if it is far from the
+def _check_centre(camera: pj.Camera, pixel_centres: Any) -> None:
+    """Raise ValueError for a principal point outside the picture; tell if it is far from the
     middle."""
     W, H = camera.W, camera.H
     cx, cy = pj.formats.to_opencv(camera, pixel_centres=pixel_centres)[0][:2, 2]
@@ -240,13 +238,13 @@ def _check_centre(camera: pj.Camera, pixel_centres: Any, say: Say) -> None:
     )
     if not (0 <= cx < W - 1 and 0 <= cy < H - 1):
         raise ValueError(f"`K`: expected a principal point inside the picture, got one {point}")
-    say(f"note: `K` has its principal point far from the middle, {point}")
+    tell(f"note: `K` has its principal point far from the middle, {point}")
 
 
-def _phi(record: Record, say: Say) -> float | None:
+def _phi(record: Record) -> float | None:
     """Return the field of view (rad) of `fov`, or of the EXIF data of the photo or the mask."""
     if "fov" in record:
-        check_fov(record["fov"], say)
+        check_fov(record["fov"])
         return math.radians(record["fov"])
     source, free = "photo" if "photo" in record else "mask", setting(record, "free")
     names = free.split(",") if isinstance(free, str) else free
@@ -256,7 +254,7 @@ def _phi(record: Record, say: Say) -> float | None:
         fov = pj.io.photo_fov(photo) if isinstance(photo, str) else None
     if fov is not None:
         words = f"{math.degrees(fov.phi):.2f} degrees by EXIF's {fov.words}"
-        say(f"phi: {words}, held fixed unless phi is free")
+        tell(f"phi: {words}, held fixed unless phi is free")
         return fov.phi
     if focal_is_free:
         return None
@@ -266,8 +264,8 @@ def _phi(record: Record, say: Say) -> float | None:
     )
 
 
-def check_fov(fov: Any, say: Say) -> None:
-    """Raise ValueError unless this is a field of view in degrees; say if it may be radians."""
+def check_fov(fov: Any) -> None:
+    """Raise ValueError unless this is a field of view in degrees; tell if it may be radians."""
     hint, is_real = "", isinstance(fov, int | float) and not isinstance(fov, bool)
     if is_real and 0 < fov < math.pi:
         hint = f": degrees? {fov:g} rad are {math.degrees(fov):.1f} degrees"
@@ -275,4 +273,4 @@ def check_fov(fov: Any, say: Say) -> None:
         words = f"expected degrees between {LEAST_FOV:g} and 180, got {fov!r}"
         raise ValueError(f"`fov`: {words}{hint}")
     if hint:
-        say(f"note: `fov`: got {fov:g}{hint}")
+        tell(f"note: `fov`: got {fov:g}{hint}")
