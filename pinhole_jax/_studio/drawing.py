@@ -9,7 +9,8 @@ import numpy as np
 
 from .. import Camera, Fit, Scene, outline, project, rays_through
 from ..plot import outline_sigma
-from ..show.space import axes_of, from_top
+from ..show.outline import from_top
+from ..show.space import axes_of
 from .hand import focal_px, principal_point
 
 #: A grid of straight lines has this many of them along the shorter side of the picture.
