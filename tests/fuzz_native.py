@@ -150,8 +150,11 @@ def looked(random):
     """A look at a view, and its pixels."""
     view = view_of(random)
     n, real = random.count(8, least=1), view.film.dtype
-    moves = (random.reals(n, *x.shape) for x in (view.film, view.lens, view.frames))
-    sight = Sight(view.film, np.append(view.lens, view.trusted), view.frames, *moves)
+    vertices = view.scene.vertices[: random.shapes.choice([0, 40])]
+    variables = view.film, view.lens, vertices, view.frames
+    moves = (random.reals(n, *x.shape) for x in variables)
+    lens = np.append(view.lens, view.trusted)
+    sight = Sight(view.film, lens, vertices, view.frames, *moves)
     pages, blocks = random.count(40, least=1), random.count(30, least=1)
     level = MaskLevel(
         view.size,

@@ -253,7 +253,8 @@ def _with_zeros(
     problem: JointProblem, path: Descent, poses: list[LonePose], tell: Tell
 ) -> tuple[JointProblem, Descent, list[LonePose]]:
     """The problem in which the zeros of joints are sought, and paths on from those without."""
-    problem, state = problem.with_zeros(), path.state
+    problem = problem.with_zeros()
+    state = path.state._replace(zeros=problem.start.zeros)
     depths = range(min(problem.levels, ZEROS_FROM), 0, -1)
     onward = lambda state: descend(problem, state, tell, depths)
     result = []

@@ -33,7 +33,6 @@ from .views import (
     reported_twist,
     with_parameter,
 )
-from .zeros import with_joints
 
 #: Damping of the first step, in squares of `sizes`, and what it is at least.
 FIRST_DAMPING, LEAST_DAMPING = 1e-2, 1e-9
@@ -231,7 +230,7 @@ class JointProblem:
             value = np.array([state.scales[name]])
             return value, value[:, None]
         if kind == ZERO:
-            return np.array([state.zeros.get(name, 0.0)]), np.eye(1)
+            return np.array([state.zeros[name]]), np.eye(1)
         if kind in MOTIONS:
             axes, rig = (np.eye(3), np.eye(4)) if rig is None else (TO_B, rig)
             pose, which = state.poses[name] @ rig, MOTIONS[kind]
@@ -273,8 +272,13 @@ class JointProblem:
 
     def with_zeros(self) -> "JointProblem":
         """The problem in which the zeros of joints are sought, too."""
-        unknowns = [*self.unknowns, *(Unknown(prior.part.name, ZERO) for prior in self.zeros)]
-        return replace(self, unknowns=unknowns, priors=[*self.priors, *self.zeros])
+        names, start = [prior.part.name for prior in self.zeros], self.start
+        return replace(
+            self,
+            unknowns=[*self.unknowns, *(Unknown(name, ZERO) for name in names)],
+            priors=[*self.priors, *self.zeros],
+            start=start._replace(zeros=dict.fromkeys(names, 0.0)),
+        )
 
     def only(self, numbers: Sequence[int], unknowns: list[Unknown]) -> "JointProblem":
         """The problem of some views and unknowns, the others held."""
@@ -350,12 +354,7 @@ class JointProblem:
 
     def rows_of(self, k: int, state: State, view: View) -> ViewRows:
         """A view at a state, and its moves."""
-        rigid = [u for u in self.unknowns_of(k) if u.kind != ZERO]
-        joints = [u.name for u in self.unknowns_of(k) if u.kind == ZERO]
-        moves = self.eyes[k].moves(state, view, rigid)
-        if joints:
-            view, moves = with_joints(self.eyes[k], state, view, moves, joints)
-        return ViewRows(view, moves)
+        return ViewRows(view, self.eyes[k].moves(state, view, self.unknowns_of(k)))
 
     def noise(self, seen: list[ViewRows]) -> float:
         """The error of a mask's residual, as priors are weighed against it: where neighbours err
@@ -421,7 +420,7 @@ class JointProblem:
             elif kind == SCALE:
                 scales[name] *= float(np.exp(part[0]))
             elif kind == ZERO:
-                zeros[name] = zeros.get(name, 0.0) + float(part[0])
+                zeros[name] += float(part[0])
             else:
                 eye = self.eyes[self._seen_by[name, kind]]
                 begin = lenses[eye.shot.camera]

@@ -24,6 +24,7 @@ from .._scene.assembly import Posture
 from .._scene.scene import Scene
 from .._solver.looks import View
 from .._solver.parameters import PARAMETERS, components
+from .._solver.problem import UNIT_PX
 from .._solver.solver import Solver
 
 #: What an unknown may be, beside a parameter of a camera and the scale of the scene: a whole pose,
@@ -132,10 +133,13 @@ class Eye:
             pose = self.mount @ state.poses[self.moving] @ self.rig
             there = stretched(inverse(self._scene_pose(state)) @ pose, 1 / self.scale(state))
             camera, solver = at_pose(state.lenses[self.shot.camera], there), self.solver
-            offsets = self.offsets(state)
-            if self.shot.posture is not None and np.any(offsets):
-                scene = self.shot.posture.scene(offsets)
-                solver = replace(solver, subject=solver.subject.elsewhere(scene))
+            if (posture := self.shot.posture) is not None and (units := self.joints(state)):
+                offsets = np.array([state.zeros.get(name, 0.0) for name in posture.joints])
+                if np.any(offsets):
+                    scene = posture.scene(offsets)
+                    solver = replace(solver, subject=solver.subject.elsewhere(scene))
+                velocities = dict(zip(posture.joints, posture.velocities(offsets), strict=True))
+                solver = solver.beside_motions(unit * velocities[n] for n, unit in units.items())
             self._last[:] = [(state, Standpoint(solver, camera))]
         return self._last[0][1]
 
@@ -152,10 +156,12 @@ class Eye:
         """The eye with other weights of pixels, on the finest level alone."""
         return replace(self, solver=self.solver.weighed(weights, only_finest=True))
 
-    def offsets(self, state: State) -> np.ndarray:
-        """Offsets of the joints' readings (J,)."""
-        names = () if self.shot.posture is None else self.shot.posture.joints
-        return np.array([state.zeros.get(name, 0.0) for name in names])
+    def joints(self, state: State) -> dict[str, float]:
+        """Units of the joints whose zeros are sought: they move an outline as moves do, about."""
+        posture, px = self.shot.posture, UNIT_PX / len(self.mask.target)
+        each = () if posture is None else zip(posture.joints, posture.units, strict=True)
+        size = {"world": float(self.solver.subject.ball.radius)}
+        return {name: px * size.get(unit, 1.0) for name, unit in each if name in state.zeros}
 
     def scale(self, state: State) -> float:
         """The scene's size, in that of the given scene."""
@@ -180,23 +186,26 @@ class Eye:
         return state._replace(poses={**state.poses, name: moved}, lenses=lenses)
 
     def moves(self, state: State, view: View, unknowns: list[Unknown]) -> np.ndarray:
-        """Moves of the view's own camera (n, k), in its solver's units, by the poses, lenses and
-        scales that it depends on."""
+        """Moves of the view's own camera, then of its joints (n, k), in its solver's units, by the
+        unknowns that it depends on."""
         pose, by_moves = pose_of(self.canonical(state)), np.asarray(view.to_reported, float)
         # Of a twist of the camera in the world, whatever the scale of its scene. (A solver's first
         # moves, and the first numbers that it reports, are those of the pose.)
-        by_twist = np.zeros((by_moves.shape[1], TWIST))
+        by_twist = np.zeros((len(view.triangle), TWIST))
         of_pose = by_moves[:TWIST, :TWIST]
         by_twist[:TWIST] = np.linalg.solve(of_pose, reported_twist(pose[:3, :3]))
         by_twist[:, 3:] /= self.scale(state)
         pose = stretched(pose, self.scale(state))
+        joints = self.joints(state)
+        units = np.append(view.scale, [*joints.values()])
         parts = [np.zeros((len(by_twist), 0))]
         for name, kind, *_ in unknowns:
             if kind == SCALE:
                 parts.append(-by_twist[:, 3:] @ pose[:3, :3].T @ pose[:3, 3:])
+            elif kind == ZERO:
+                parts.append(np.diag(1 / units)[:, [len(view.scale) + [*joints].index(name)]])
             elif kind not in MOTIONS:
-                place = indices(self.solver.freed, kind)
-                parts.append(np.diag(1 / np.asarray(view.scale, float))[:, place])
+                parts.append(np.diag(1 / units)[:, indices(self.solver.freed, kind)])
             elif name == self.moving:
                 parts.append((by_twist @ adjoint(inverse(self.rig)))[:, MOTIONS[kind]])
             else:

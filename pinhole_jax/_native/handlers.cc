@@ -169,24 +169,25 @@ void pull_all(XLA_FFI_CallFrame* frame) {
 
 // --- looks ----------------------------------------------------------------------------------------
 
-// After what is given: how the film (n, 18), the lens (n, l) and the frames (n, S, 9) move, where the
-// level starts (1), what residual is explained (1), the mask's pages (Q), sums (4, Q) and cells (6, N),
-// and rows known beside it (m, n + 1).
+// After what is given: how the film (n, 18), the lens (n, l), vertices (n, V, 3; or none, n, 0, 3) and
+// the frames (n, S, 9) move, where the level starts (1), what residual is explained (1), the mask's
+// pages (Q), sums (4, Q) and cells (6, N), and rows known beside it (m, n + 1).
 
 Look look_of(void* const* arguments, int64_t model) {
   Views views(arguments, model);
   views.find(Batch(), 0);
   const auto own = [&](int k, int64_t axes) { return array(arguments[kGiven + k], axes); };
-  const Array film = own(0, 2), lens = own(1, 2), frames = own(2, 3), page = own(5, 1), cells = own(7, 2);
+  const Array film = own(0, 2), lens = own(1, 2), vertices = own(2, 3), frames = own(3, 3);
+  const Array page = own(6, 1), cells = own(8, 2);
   std::vector<Moves> ways(film.length(0));
   const auto way = [&](const Array& a, size_t w) {
     const int64_t size = a.size() / std::max(a.length(0), int64_t(1));
     return a.numbers(0).from(size * int64_t(w), size);
   };
-  for (size_t w = 0; w < ways.size(); ++w) ways[w] = {way(film, w), way(lens, w), {}, way(frames, w)};
-  const Mask mask{page.integers(0), own(6, 2).numbers(0), cells.numbers(0), page.size(), cells.length(1),
-                  own(3, 1).integers(0)[0], views.W, views.H, own(4, 1).numbers(0)[0]};
-  return Look(views.film(), views.seen_scene(), mask, ways, own(8, 2).numbers(0));
+  for (size_t w = 0; w < ways.size(); ++w) ways[w] = {way(film, w), way(lens, w), way(vertices, w), way(frames, w)};
+  const Mask mask{page.integers(0), own(7, 2).numbers(0), cells.numbers(0), page.size(), cells.length(1),
+                  own(4, 1).integers(0)[0], views.W, views.H, own(5, 1).numbers(0)[0]};
+  return Look(views.film(), views.seen_scene(), mask, ways, own(9, 2).numbers(0));
 }
 
 template <class Real>

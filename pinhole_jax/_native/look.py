@@ -21,23 +21,27 @@ TYPES = {np.dtype(np.int32): 4, np.dtype(np.float32): 11, np.dtype(np.float64): 
 class Sight(NamedTuple):
     """The variables of a view on a level of a mask, and their derivatives by n moves.
 
-    The film and the lens's numbers as `Variables`; the lens's trusted radius follows these.
+    They are those of `Variables`, without vertices where none moves; the lens's trusted radius
+    follows its numbers.
     """
 
     film: Float[Array, "18"]
     lens: Float[Array, "l"]
+    vertices: Float[Array, "v 3"]
     frames: Float[Array, "S 9"]
     film_by_move: Float[Array, "n 18"]
     lens_by_move: Float[Array, "n l"]
+    vertices_by_move: Float[Array, "n v 3"]
     frames_by_move: Float[Array, "n S 9"]
 
 
-def sight_of(film: FilmMap, scene: Scene) -> tuple[Array, Array, Array]:
-    """The variables of a sight: the film's numbers, the lens's, and frames."""
-    film_numbers, lens, _, frames = variables_of(film, scene)
+def sight_of(film: FilmMap, scene: Scene, still: bool) -> tuple[Array, Array, Array, Array]:
+    """The variables of a sight: the film's numbers, the lens's, vertices unless they stand still,
+    and frames."""
+    film_numbers, lens, vertices, frames = variables_of(film, scene)
     if film.bend is not None:
         lens = jnp.append(lens, film.bend.trusted)
-    return film_numbers, lens, frames
+    return film_numbers, lens, vertices[:0] if still else vertices, frames
 
 
 def along_each(
@@ -117,7 +121,7 @@ def pixels(sight: Sight, scene: Scene, level: MaskLevel, model: int) -> TouchedP
 
 def _operands(sight: Sight, scene: Scene, level: MaskLevel) -> list[Any]:
     """The library's operands of a look, in its order."""
-    film, lens, frames, *moves = sight
+    film, lens, _, frames, *moves = sight
     view = film, lens, *scene_arrays(scene, film.dtype), frames
     return [*view, level.size, *moves, *level[1:]]
 

@@ -44,14 +44,12 @@ class Assembly:
         faces = [np.asarray(b.faces) + n for b, n in zip(bodies, begin, strict=True)]
         self._dtype = bodies[0].vertices.dtype
         self._bodies = [np.asarray(body.vertices, float) for body in bodies]
-        #: The body of each vertex (V,).
-        self.body: np.ndarray = np.repeat(np.arange(len(bodies)), counts)
         points = np.concatenate(self._bodies).astype(self._dtype)
         self._mesh = Mesh(points, np.concatenate(faces))
 
     def __len__(self) -> int:
         """Return the number of bodies."""
-        return int(self.body[-1]) + 1
+        return len(self._bodies)
 
     def scene_at(self, poses: Input[ArrayLike, "B 4 4"]) -> Scene:
         """Return the scene with each body at its pose: rigid transforms (B, 4, 4), body to world.
@@ -62,11 +60,15 @@ class Assembly:
         if matrices.shape != shape or not np.all(np.isfinite(matrices)):
             got = f"shape {matrices.shape}" if matrices.shape != shape else "others"
             raise ValueError(f"`poses`: expected finite numbers {shape}, got {got}")
-        places = [moved(pose, points) for pose, points in zip(matrices, self._bodies, strict=True)]
-        points = np.concatenate(places)
-        return Scene(mesh=with_vertices(self._mesh, jnp.asarray(points, self._dtype)))
+        points = jnp.asarray(self.points_at(matrices), self._dtype)
+        return Scene(mesh=with_vertices(self._mesh, points))
 
     at = scene_at  # (its name so far)
+
+    def points_at(self, poses: np.ndarray) -> np.ndarray:
+        """Return the vertices (V, 3) with each body at its pose (B, 4, 4)."""
+        pairs = zip(poses, self._bodies, strict=True)
+        return np.concatenate([moved(pose, points) for pose, points in pairs])
 
 
 class Posture:
@@ -107,25 +109,20 @@ class Posture:
         self._assembly, self._poses = assembly, poses
         self.joints, self.units = tuple(joints), tuple(joints.values())
 
-    @property
-    def body(self) -> np.ndarray:
-        """Return the body of each vertex (V,)."""
-        return self._assembly.body
-
     def scene(self, offsets: Input[ArrayLike | None, "J"] = None) -> Scene:
         """Return the scene where offsets (J,) are added to the joints' readings."""
         return self._assembly.scene_at(self._poses(self._checked(offsets)))
 
-    def twists(self, offsets: Input[ArrayLike | None, "J"] = None) -> np.ndarray:
-        """Return each body's motion by each joint's offset (J, B, 7), along the scene's axes.
+    def velocities(self, offsets: Input[ArrayLike | None, "J"] = None) -> np.ndarray:
+        """Return the velocities of the scene's vertices by each joint's offset (J, V, 3).
 
-        A small rotation about the scene's origin, a translation, and growth about the origin.
         Raises ValueError for bodies that are bent, or stretched more one way than another.
         """
         at, result = self._checked(offsets), []
         for step in STEP * np.eye(len(self.joints)):
             ahead, back = (np.asarray(self._poses(at + s), float) for s in (step, -step))
-            result.append(_motion(ahead @ np.linalg.inv(back)) / (2 * STEP))
+            _check_shape(ahead @ np.linalg.inv(back))
+            result.append(self._assembly.points_at((ahead - back) / (2 * STEP)))
         return np.array(result)
 
     def _checked(self, offsets: ArrayLike | None) -> np.ndarray:
@@ -136,13 +133,10 @@ class Posture:
         return values
 
 
-def _motion(change: np.ndarray) -> np.ndarray:
-    """Return small changes of bodies (B, 4, 4) as rotation, shift and growth (B, 7)."""
+def _check_shape(change: np.ndarray) -> None:
+    """Raise ValueError unless small changes of bodies (B, 4, 4) keep their shapes."""
     linear, turned = change[:, :3, :3], change[:, :3, :3].transpose(0, 2, 1)
     grows = np.cbrt(np.linalg.det(linear))[:, None] - 1
     bent = (linear + turned) / 2 - (1 + grows[..., None]) * np.eye(3)
     if np.max(np.abs(bent)) > 2 * STEP * STIFF:
         raise ValueError("`poses`: expected bodies that move rigidly or grow evenly, got bent ones")
-    skew = (linear - turned) / 2
-    turn = np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)
-    return np.concatenate([turn, change[:, :3, 3], grows], axis=1)

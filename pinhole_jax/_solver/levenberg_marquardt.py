@@ -18,7 +18,6 @@ from .._camera.camera import Camera
 from .._mask.pyramid import Level
 from .looks import look
 from .moves import Move
-from .parameters import components
 from .problem import COSINE, UNIT_PX, Problem
 
 #: Steps of a level that can be told one by one.
@@ -95,11 +94,10 @@ def descended(camera: Camera, problem: Problem, level: Level, px, settled, steps
         return seen.rows[:, -1] + seen.rows[:, :-1] @ (y - at), seen
 
     args = problem.move(camera, level, freed), problem, level
-    zero = jnp.zeros(len(components(freed)), problem.pyramid.cells.dtype)
     solver = _LevenbergMarquardt(atol=px / UNIT_PX, settled=settled, steps=steps)
     # (Its function is new each time: outside of a program it would compile anew.)
     found = optx.least_squares(
-        residual, solver, zero, args, has_aux=True, max_steps=None, throw=False
+        residual, solver, problem.still(freed), args, has_aux=True, max_steps=None, throw=False
     )
     end: Any = found.state
     return end.num_steps, end.search_state[1], end.aux

@@ -24,8 +24,7 @@ from .._native.rasteriser import model_of
 from .._numerics.thin_qr import triangle_of
 from .._scene.scene import Scene
 from .._silhouette.silhouette import in_arrays
-from .moves import Move, moved, reported
-from .parameters import components
+from .moves import Move, reported
 from .problem import Problem
 
 #: A pixel that is covered, or uncovered, but for less than this shows no outline.
@@ -58,7 +57,7 @@ class Look(NamedTuple):
     """What is known at a camera, moved by y.
 
     - `rows`: R of [J, r], the rows of a prior and of other views among them; J is the residuals'
-      derivative by moves about the camera, in units of `scale`.
+      derivative by moves about the camera, in units of `scale`, then by the scene's motions.
     - `to_reported`: the reported parameters' derivative by moves.
     - `known`, `prior`: derivatives of the residuals of a prior and other views, and their squares.
     - `sight`: what the library draws; None where it does not look.
@@ -99,9 +98,9 @@ def look(
     that a solver does not step there."""
 
     def quantities(y: Array) -> tuple[Any, Any]:
-        camera = moved(move, y, freed)
+        camera, scene = problem.moved(move, y, freed)
         values, film = reported(move.camera, camera, freed), film_of(camera, level, size)
-        drawn = sight_of(film, problem.scene) if size is None else _image(film, problem.scene)
+        drawn = sight_of(film, scene, not problem.motions) if size is None else _image(film, scene)
         return (values, problem.prior.residuals(values), *drawn), camera
 
     (_, left, *drawn), by_move, camera = along_each(quantities, y)
@@ -116,7 +115,7 @@ def look(
         _, table, sums = _weighed(coverage, moves, problem.pyramid, level, size)
         rows = triangle_of(jnp.concatenate([table, known]))
     ok = jnp.where(lens_holds(camera, _part(level)), 1, jnp.nan).astype(y.dtype)
-    facts = to_reported.T, move.scale, J.T, left @ left
+    facts = to_reported[: len(move.scale)].T, move.scale, J.T, left @ left
     return Look(camera, rows * ok, Sums(*sums * ok), *facts, sight)
 
 
@@ -193,9 +192,12 @@ def _all_pixels(
 ) -> Float[Array, "H W c"]:
     """Coverage, weight and weighted [J, r] of all pixels of a level, row 0 at the bottom."""
     move, (W, H) = problem.move(camera, level, freed), size
-    image = lambda y: (_image(film_of(moved(move, y, freed), level, size), problem.scene), ())
-    y = jnp.zeros(len(components(freed)), camera.e.dtype)
-    (coverage,), (moves,), _ = along_each(image, y)
+
+    def image(y: Array) -> tuple[Any, Any]:
+        camera, scene = problem.moved(move, y, freed)
+        return _image(film_of(camera, level, size), scene), ()
+
+    (coverage,), (moves,), _ = along_each(image, problem.still(freed))
     weight, table, _ = _weighed(coverage, moves, problem.pyramid, level, size)
     seen = jnp.stack([coverage, weight], axis=1)
     return jnp.concatenate([seen, table], axis=1).reshape(H, W, -1)
@@ -245,7 +247,8 @@ class Origin:
 class View:
     """What a fit keeps of a look (see `Look`): R of J = QR, Q^T r, sums, and where it was taken.
 
-    J is the residuals' derivative by moves, in the solver's units (`UNIT_PX` pixels): `scale`.
+    J is the residuals' derivative by moves, in the solver's units (`UNIT_PX` pixels): `scale`; then
+    by the scene's motions, if any.
     """
 
     triangle: np.ndarray
@@ -256,14 +259,12 @@ class View:
     known: np.ndarray
     prior: float
     origin: Origin | None = None
-    by_joints: np.ndarray | None = None
 
     @classmethod
     def from_origin(cls, origin: Origin) -> "View":
         """The view of a look."""
         rows, sums, to_reported, scale, known, prior = jax.device_get(origin.look[1:-1])
-        n = len(scale)
-        own = rows[:n, :n], rows[:n, n], sums
+        own = rows[:-1, :-1], rows[:-1, -1], sums
         return cls(*own, to_reported, scale, known, float(prior), origin)
 
     @property
@@ -286,8 +287,8 @@ class View:
 
     @property
     def jacobian(self) -> Float[np.ndarray, "P n"]:
-        """The touched pixels' rows of J, with the columns of joints where there are some."""
-        return self.pixels.jacobian if self.by_joints is None else self.by_joints
+        """The touched pixels' rows of J."""
+        return self.pixels.jacobian
 
     @property
     def squares(self) -> float:

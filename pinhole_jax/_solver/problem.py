@@ -3,13 +3,16 @@
 from typing import Any
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from .._camera.camera import Camera
 from .._mask.kinds import RESOLVED
 from .._mask.pyramid import Level, Pyramid
 from .._scene.scene import Ball, Scene
-from .moves import Bounds, Move, scales
+from .moves import Bounds, Move, moved, scales
+from .parameters import components
 from .priors import Prior
 
 #: One unit of the solver in pixels. Its damping begins at 1 in its own units, whatever they are:
@@ -26,13 +29,30 @@ SETTLED = 0.02
 
 
 class Problem(eqx.Module):
-    """A scene and a target's pyramid; moves are taken about the scene's bounding sphere."""
+    """A scene and a target's pyramid; moves are taken about the scene's bounding sphere.
+
+    A look is differentiated by moves of the camera, then by `motions`: velocities of vertices.
+    """
 
     scene: Scene
     pyramid: Pyramid
     ball: Ball
     bounds: Bounds | None
     prior: Prior
+    motions: tuple[Float[Array, "V 3"], ...] = ()
+
+    def still(self, freed: tuple[str, ...]) -> Float[Array, "n"]:
+        """No moves."""
+        number = len(components(freed)) + len(self.motions)
+        return jnp.zeros(number, self.pyramid.cells.dtype)
+
+    def moved(self, move: Move, y: Array, freed: tuple[str, ...]) -> tuple[Camera, Scene]:
+        """The camera and the scene after moves."""
+        n, place, scene = len(move.scale), lambda scene: scene.mesh.vertices, self.scene
+        if self.motions:
+            change = sum(x * motion for x, motion in zip(y[n:], self.motions, strict=True))
+            scene = eqx.tree_at(place, scene, place(scene) + change)
+        return moved(move, y[:n], freed), scene
 
     def move(self, camera: Camera, level: Level, freed: tuple[str, ...]) -> Move:
         """Where moves of a camera start, in the solver's units."""

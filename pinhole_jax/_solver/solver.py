@@ -6,7 +6,9 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from .._camera.camera import Camera
 from .._mask.edges import Weights
@@ -72,6 +74,7 @@ class Solver:
     - `max_steps`: the most steps on a level; `fine_px`: what step is negligible on the finest.
     - `record`: whether the way is to hold each step.
     - `only_finest`: whether there is but one level, the finest.
+    - `motions`: velocities of vertices, by which looks alone are differentiated, too.
     - `walked`: walks all round a line: from there another need not be taken.
     """
 
@@ -87,6 +90,7 @@ class Solver:
     prior: Prior | None = None
     record: bool = False
     only_finest: bool = False
+    motions: tuple[Array, ...] = ()
     walked: list[tuple[Camera, Revolution, list[Solution]]] = field(
         default_factory=list, init=False
     )
@@ -123,6 +127,14 @@ class Solver:
     def beside(self, others: Prior) -> "Solver":
         """Return the solver to which what other views know counts."""
         return replace(self, prior=others)
+
+    def beside_motions(self, velocities: Iterable[np.ndarray]) -> "Solver":
+        """Return the solver whose looks are differentiated by vertices' velocities (v, 3), too."""
+        mesh = self.subject.scene.mesh
+        assert mesh is not None
+        room = lambda v: np.pad(v, ((0, len(mesh.vertices) - len(v)), (0, 0)))
+        motions = (jnp.asarray(room(v), self.dtype) for v in velocities)
+        return replace(self, motions=tuple(motions))
 
     def like(self, kind: Kind) -> "Solver":
         """Return the solver for masks of another kind."""
@@ -162,7 +174,8 @@ class Solver:
             noise = UNSEEN_NOISE if self.store.noise is None else self.store.noise
             known = known.times(np.asarray(noise, self.dtype))
         subject, pyramid = self.subject, self._levels.pyramid
-        return Problem(subject.scene, pyramid, subject.pivot, self.bounds, known)
+        about = subject.scene, pyramid, subject.pivot
+        return Problem(*about, self.bounds, known, self.motions)
 
     @property
     def counted(self) -> int:
