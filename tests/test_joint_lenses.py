@@ -83,7 +83,7 @@ def test_covariance_equals_that_of_one_dense_matrix(three):
     path = descend(problem, problem.start, silent, range(problem.levels, 0, -1))
     found = finish(problem, path, silent).found
     layout, seen, state = found.problem, found.descent.seen, found.descent.state
-    noise, everything = layout.noise(seen), np.arange(layout.size)
+    noise, everything = layout.noise(found.descent), np.arange(layout.size)
     by = [x.moves @ np.eye(19)[layout.columns(k)] for k, x in enumerate(seen)]
     # (What phi follows of its own unknown, a logarithm of the focal length, a difference says.)
     lens, beliefs = layout.place("one", "phi"), np.zeros((4, 19))

@@ -123,7 +123,7 @@ def on_photo(
     def descended(
         there: tuple[Solver, Solution], images: Images, depths: Sequence[int], px: float, steps: int
     ) -> tuple[Solver, Solution]:
-        colours = replace(solver.like(COLOURS), max_steps=steps)
+        colours = replace(solver, kind=COLOURS, max_steps=steps)
         own = colours.weighed(*images[0], only_finest=max(depths) == 1)
         levels = range(max(own.finest + 1 - max(depths), 0), own.finest + 1)
         return own, onward(there[1], own.solve(there[1].camera, levels, fine_px=px))

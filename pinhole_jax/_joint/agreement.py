@@ -53,7 +53,6 @@ class Agreement:
     """Where the weighed views' squares are least, and how well these agree.
 
     - `problem`, with the weights of views (V,), at most 1; `descent`: the state, and views there.
-    - `held` (size,): whether an unknown is at an end of its bounds: nothing determines it.
     - `gradients`: the covariance of each view's J^T r.
     - `excess`: how many times as far apart the views are as their masks' errors say; at least 1.
     - `freedom`: how many numbers say so.
@@ -65,7 +64,6 @@ class Agreement:
 
     problem: JointProblem
     descent: Descent
-    held: np.ndarray
     gradients: list[np.ndarray]
     excess: float
     freedom: int
@@ -81,9 +79,10 @@ class Agreement:
 
     @cached_property
     def parts(self) -> list[Rows]:
-        """The rows of the views, then those of priors."""
-        parts = self.problem.parts(self.descent.state, self.descent.seen, self.noise)
-        return [part.without(self.held) for part in parts]
+        """The rows of the views, then those of priors, blind to what is at an end of its bounds."""
+        parts = self.problem.parts(self.descent, self.noise)
+        held = self.problem.ways_out(self.descent) != 0
+        return [part.without(held) for part in parts]
 
     @property
     def prior_rows(self) -> list[Rows]:
@@ -109,14 +108,10 @@ class Agreement:
             return 1.0
         return (self.excess * width_by_few(1.0 * self.freedom)) ** 2
 
-    def reports(self, parts: Sequence[Part]) -> tuple[np.ndarray, np.ndarray]:
-        """The derivative of numbers that report unknowns, as `JointProblem` has it."""
-        return self.problem.reports(parts, self.descent.state, self.descent.seen)
-
     def covariance_of(self, parts: Sequence[Part], independent: bool = False) -> np.ndarray:
         """The covariance (p, p) of the numbers by which unknowns are reported; infinite, with no
         covariances, where they move along directions that change no mask."""
-        by_unknowns, place = self.reports(parts)
+        by_unknowns, place = self.problem.reports(parts, self.descent)
         errors = self.by_pixels if independent else self.by_masks
         result = by_unknowns @ errors.covariance(place) @ by_unknowns.T
         forget(result, by_unknowns @ self.unseen[place])
@@ -230,8 +225,8 @@ def weigh_priors(problem: JointProblem, found: Descent) -> JointProblem:
 
 def _agreement(problem: JointProblem, found: Descent, counts: np.ndarray) -> Agreement:
     """The agreement of weighed views; those that agree had the weights `counts`."""
-    noise = problem.noise(found.seen)
-    prior_rows = problem.prior_rows(found.state, found.seen, noise)
+    noise = problem.noise(found)
+    prior_rows = problem.prior_rows(found, noise)
     rows = []
     for eye, seen in zip(problem.eyes, found.seen, strict=True):
         errors = mask_errors(eye.solver, seen.view)
@@ -249,7 +244,6 @@ def _agreement(problem: JointProblem, found: Descent, counts: np.ndarray) -> Agr
     return Agreement(
         problem=problem,
         descent=found,
-        held=problem.ways_out(found.state, found.seen) != 0,
         gradients=gradients,
         excess=max(apart / max(freedom, 1), 1.0) ** 0.5 if several else 1.0,
         freedom=max(freedom, 1),

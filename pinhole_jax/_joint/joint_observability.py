@@ -48,24 +48,19 @@ def joint_observability(
     """
     blank = [_blank(view, cameras) for view in views]
     given = {"shared": shared, "objects": objects, "rig": rig, "prior": prior}
-    problem = joint_problem(blank, cameras, free, joint_zeros=joint_zeros, **given)
-    problem = problem.with_zeros() if problem.zeros else problem
-    state, seen, size = problem.start, problem.look(problem.start), problem.size
+    problem = joint_problem(blank, cameras, free, joint_zeros=joint_zeros, **given).with_zeros()
+    here, each = problem.stay(problem.start), np.eye(problem.size)
 
-    most = np.zeros(size)
-    for k, rows in enumerate(seen):
-        columns = problem.columns(k)
-        most[columns] = np.maximum(most[columns], np.max(np.abs(rows.moves), axis=0))
-    unit = 1 / (UNIT_PX * np.maximum(most, 1e-300))  # moves an outline by about a pixel
-    tables = [np.zeros((size, size))]
-    for part in problem.parts(state, seen, noise):
-        tables.append(part.rows @ (np.eye(size)[part.columns] * unit))
-    triangle: Any = np.linalg.qr(np.concatenate(tables), mode="r")
+    moves = [rows.moves @ each[problem.columns(k)] for k, rows in enumerate(here.seen)]
+    most = np.max(np.abs(np.concatenate(moves)), axis=0)
+    each /= UNIT_PX * np.maximum(most, 1e-300)  # (They move an outline by about a pixel.)
+    tables = [part.rows @ each[part.columns] for part in problem.parts(here, noise)]
+    triangle: Any = np.linalg.qr(np.concatenate([*tables, 0 * each]), mode="r")
     others = *problem.objects(), *problem.named(SCALE), *problem.named(ZERO)
     parts = {name: problem.parts_of(name) for name in (*problem.cameras, *others)}
     labels = (f"{name} {x}" for name, some in parts.items() for part in some for x in part.labels)
-    by_unknowns, place = problem.reports([*chain(*parts.values())], state, seen)
-    reported = by_unknowns @ (np.eye(size)[place] * unit)
+    by_unknowns, place = problem.reports([*chain(*parts.values())], here)
+    reported = by_unknowns @ each[place]
     blind = BLIND[problem.dtype]
     _, weak = weak_directions(triangle, partial(_words, problem), blind)
     return observability_of(tuple(labels), triangle, reported, noise, blind, weak)

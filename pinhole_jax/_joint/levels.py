@@ -67,7 +67,7 @@ def agreement_on_photos(
     ) -> tuple[JointProblem, Descent]:
         seen = {}
         for k, image in images.items():
-            colours = eyes[k].solver.like(COLOURS)
+            colours = replace(eyes[k].solver, kind=COLOURS)
             solver = colours.weighed(*image, only_finest=max(depths) == 1)
             seen[k] = replace(eyes[k], solver=solver)
         own = replace(problem.seeing(seen), weights=counts(images) * problem.weights)

@@ -42,10 +42,8 @@ def report(end: Outcome, free: Mapping[str, Sequence[Free]]) -> JointFit:
     """The end of a fit as a user reads it; poses are `free` along these directions."""
     problem, found, state = end.problem, end.found, end.found.descent.state
     views = tuple(_view_fit(end, k) for k in range(len(problem.eyes)))
-    fits, scales = {}, _scales(found)
-    for name in problem.cameras:
-        moving = problem.eye_of(name)[1].moving
-        fits[name] = _camera_fit(end, name, views, free.get(moving, []))
+    fits = {name: _camera_fit(end, name, views, free) for name in problem.cameras}
+    scales = _scales(found)
     objects = {
         name: ObjectFit(state.poses[name], found.covariance_of([Part(name, POSE)]))
         for name in problem.objects()
@@ -102,23 +100,25 @@ def _worth(found: Agreement, k: int) -> float:
         return float(np.exp((after - before) / (2 * len(place))))
 
 
-def _camera_fit(end: Outcome, name: str, views: tuple[ViewFit, ...], free: Sequence[Free]) -> Fit:
+def _camera_fit(
+    end: Outcome, name: str, views: tuple[ViewFit, ...], free_poses: Mapping[str, Sequence[Free]]
+) -> Fit:
     problem, found, film = end.problem, end.found, end.problem.cameras[name]
     numbers = [k for k, eye in enumerate(problem.eyes) if eye.shot.camera == name]
-    k, eye, state = numbers[0], problem.eyes[numbers[0]], found.descent.state
+    (k, eye), state = problem.eye_of(name), found.descent.state
     levels, seen = eye.solver.levels, found.descent.seen[k]
     in_carrier = lambda state: at_pose(state.lenses[name], state.poses[eye.moving] @ eye.rig)
     ends = found.descent.way
-    way = [Stop(in_carrier(p.state), levels[eye.level(p.depth)], p.steps) for p in ends]
+    way = [Stop(in_carrier(at), levels[eye.level(depth)], steps) for at, depth, steps in ends]
 
     parts = problem.parts_of(name)
     covariance = found.covariance_of(parts)
     here = Solution(eye.canonical(state), seen.view, ())
-    free = [transported(eye.solver, here, direction) for direction in free]
+    free = [transported(eye.solver, here, x) for x in free_poses.get(eye.moving, ())]
     if free:  # its covariance is to hold what is free about it
-        by_unknowns, place = found.reports(parts)
+        by_unknowns, place = problem.reports(parts, found.descent)
         own = np.searchsorted(problem.columns(k), place)
-        to_reported = by_unknowns @ np.linalg.pinv(seen.moves)[own]
+        to_reported = by_unknowns @ np.linalg.pinv(seen.moves)[own, : len(seen.view.scale)]
         covariance += widened(to_reported, free, 0.0)
         lost = [to_reported @ f.move for f in free if np.isinf(f.ahead)]
         forget(covariance, np.array(lost).reshape(-1, len(covariance)).T)

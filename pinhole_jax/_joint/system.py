@@ -6,7 +6,7 @@ The rows of a view are its R of J = QR, times how its moves follow the unknowns.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -40,6 +40,9 @@ FIRST_DAMPING, LEAST_DAMPING = 1e-2, 1e-9
 LEAST_NOISE = 1e-3
 #: The six numbers of an object's pose, as they are reported.
 OF_OBJECT = ("rotation_x", "rotation_y", "rotation_z", "x", "y", "z")
+
+
+AnyProblem = TypeVar("AnyProblem", bound="JointProblem")
 
 
 class ViewRows(NamedTuple):
@@ -220,12 +223,10 @@ class JointProblem:
             parts = [Part(name, kind) for kind in (POSE, SCALE, ZERO)]
         return [part for part in parts if (part.name, part.kind) in self._places]
 
-    def report(
-        self, part: Part, state: State, seen: list[ViewRows]
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def report(self, part: Part, here: Descent) -> tuple[np.ndarray, np.ndarray]:
         """The numbers (p,) by which an unknown is reported (0 for small turns), and their
         derivative (p, n) by it."""
-        name, kind, rig, _ = part
+        (name, kind, rig, _), state = part, here.state
         if kind == SCALE:  # its logarithm is the unknown
             value = np.array([state.scales[name]])
             return value, value[:, None]
@@ -236,37 +237,33 @@ class JointProblem:
             pose, which = state.poses[name] @ rig, MOTIONS[kind]
             by_twist = reported_twist(pose[:3, :3], axes) @ adjoint(inverse(rig))
             return np.append(np.zeros(3), pose[:3, 3])[which], by_twist[which, which]
-        return self.by_own_moves(part, state, seen)
+        return self.by_own_moves(part, here)
 
-    def by_own_moves(
-        self, part: Part, state: State, seen: list[ViewRows]
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def by_own_moves(self, part: Part, here: Descent) -> tuple[np.ndarray, np.ndarray]:
         """What `report` says of an unknown that is a move of a view's own camera."""
         name, kind, _, H = part
         k = self._seen_by[name, kind]
-        eye, view = self.eyes[k], seen[k].view
-        camera, place = eye.canonical(state), indices(eye.solver.freed, kind)
+        eye, view = self.eyes[k], here.seen[k].view
+        camera, place = eye.canonical(here.state), indices(eye.solver.freed, kind)
         known = [LABELS[label].value for label in part.labels]
         values = [float(value(camera)) if value else 0.0 for value in known]
         rows = np.asarray(view.to_reported, float)[np.ix_(place, place)]
         by_unknown = rows / np.asarray(view.scale, float)[place]
         return H * np.array(values), H * by_unknown
 
-    def reports(
-        self, parts: Sequence[Part], state: State, seen: list[ViewRows]
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def reports(self, parts: Sequence[Part], here: Descent) -> tuple[np.ndarray, np.ndarray]:
         """The derivative (p, q) of the numbers by which unknowns are reported, by unknowns at a
         place (q,), and this."""
         from scipy.linalg import block_diag
 
-        each = (self.report(part, state, seen)[1] for part in parts)
+        each = (self.report(part, here)[1] for part in parts)
         by_unknowns: Any = block_diag(np.zeros((0, 0)), *each)
         places = [self._places[part.name, part.kind] for part in parts]
         return by_unknowns, np.concatenate([np.zeros(0, int), *places])
 
     # --- other problems --------------------------------------------------------------------------
 
-    def seeing(self, others: Mapping[int, Eye]) -> "JointProblem":
+    def seeing(self: AnyProblem, others: Mapping[int, Eye]) -> AnyProblem:
         """The problem with other eyes in place of some."""
         return replace(self, eyes=[others.get(k, eye) for k, eye in enumerate(self.eyes)])
 
@@ -280,7 +277,7 @@ class JointProblem:
             start=start._replace(zeros=dict.fromkeys(names, 0.0)),
         )
 
-    def only(self, numbers: Sequence[int], unknowns: list[Unknown]) -> "JointProblem":
+    def only(self: AnyProblem, numbers: Sequence[int], unknowns: list[Unknown]) -> AnyProblem:
         """The problem of some views and unknowns, the others held."""
         eyes = [self.eyes[k] for k in numbers]
         seen_by, known = {eye.shot.camera for eye in eyes}, {(u.name, u.kind) for u in unknowns}
@@ -314,35 +311,35 @@ class JointProblem:
     def descend(self, state: State, most: int, px: float) -> Descent:
         """The end of at most this many steps of Levenberg-Marquardt; those below `px` are
         negligible."""
-        way, seen, size = (LevelEnd(state, self.depth, 0),), self.look(state), np.zeros(self.size)
+        here, size = self.stay(state), np.zeros(self.size)
         squares, damping, steps, ended = np.inf, FIRST_DAMPING, 0, False
         while steps < most and not ended:
             steps += 1
-            noise = self.noise(seen)
-            squares, parts = self.squares(state, seen, noise), self.parts(state, seen, noise)
+            noise = self.noise(here)
+            squares, parts = self.squares(here, noise), self.parts(here, noise)
             if not all(np.all(np.isfinite(p.rows)) and np.all(np.isfinite(p.left)) for p in parts):
                 break
-            outward = self.ways_out(state, seen) * slope_of(parts, self.size) < 0
+            outward = self.ways_out(here) * slope_of(parts, self.size) < 0
             parts = [part.without(outward) for part in parts]
-            size = np.maximum(size, self.sizes(seen, parts))
+            size = np.maximum(size, self.sizes(here, parts))
             x = solve(parts, self.size, damping**0.5 * size).x
-            moved = self.moved(seen, x)
+            moved = self.moved(here, x)
             change = sum(float(np.sum((p.rows @ x[p.columns]) ** 2)) for p in parts)
-            trial = self.stepped(state, x)
-            there = self.look(trial)
-            if (after := self.squares(trial, there, noise)) <= squares:
-                state, seen, squares = trial, there, after
+            there = self.stay(self.stepped(here.state, x))
+            if (after := self.squares(there, noise)) <= squares:
+                here, squares = there, after
                 damping = max(damping / 10, LEAST_DAMPING)
             else:
                 damping *= 10
             ended = moved < px / UNIT_PX or change <= COSINE[self.dtype] ** 2 * squares
-        way = (*way, LevelEnd(state, self.depth, steps))
-        return Descent(state, seen, squares, steps, ended, way)
+        way = LevelEnd(state, self.depth, 0), LevelEnd(here.state, self.depth, steps)
+        return Descent(here.state, here.seen, squares, steps, ended, way)
 
     def stay(self, state: State) -> Descent:
         """A descent of no steps."""
-        seen, way = self.look(state), (LevelEnd(state, self.depth, 0),)
-        return Descent(state, seen, self.squares(state, seen, self.noise(seen)), 0, True, way)
+        way = (LevelEnd(state, self.depth, 0),)
+        here = Descent(state, self.look(state), np.inf, 0, True, way)
+        return here._replace(squares=self.squares(here, self.noise(here)))
 
     def look(self, state: State) -> list[ViewRows]:
         """All views at a state."""
@@ -356,55 +353,54 @@ class JointProblem:
         """A view at a state, and its moves."""
         return ViewRows(view, self.eyes[k].moves(state, view, self.unknowns_of(k)))
 
-    def noise(self, seen: list[ViewRows]) -> float:
+    def noise(self, here: Descent) -> float:
         """The error of a mask's residual, as priors are weighed against it: where neighbours err
         together, more."""
         if not self.priors:
             return 1.0
-        touched = sum(float(s.view.sums.touched) for s in seen)
-        squares = sum(float(s.view.sums.touched_squares) for s in seen)
+        touched = sum(float(s.view.sums.touched) for s in here.seen)
+        squares = sum(float(s.view.sums.touched_squares) for s in here.seen)
         return max(self.design * squares / max(touched, 1.0), LEAST_NOISE**2) ** 0.5
 
-    def squares(self, state: State, seen: list[ViewRows], noise: float) -> float:
+    def squares(self, here: Descent, noise: float) -> float:
         """The sum of the squares of all residuals, those of priors among them; infinite where it is
         none."""
-        views = sum(w * s.view.squares for w, s in zip(self.weights, seen, strict=True))
-        total = float(views + sum(p.squares for p in self.prior_rows(state, seen, noise)))
+        views = sum(w * s.view.squares for w, s in zip(self.weights, here.seen, strict=True))
+        total = float(views + sum(p.squares for p in self.prior_rows(here, noise)))
         return total if np.isfinite(total) else np.inf
 
-    def parts(self, state: State, seen: list[ViewRows], noise: float) -> list[Rows]:
+    def parts(self, here: Descent, noise: float) -> list[Rows]:
         """Rows of the views, and of priors."""
-        views = [self.view_rows(k, s).times(self.weights[k] ** 0.5) for k, s in enumerate(seen)]
-        return [*views, *self.prior_rows(state, seen, noise)]
+        views = []
+        for k, (view, moves) in enumerate(here.seen):
+            rows, columns = np.asarray(view.triangle, float) @ moves, self.columns(k)
+            part = Rows(rows, np.asarray(view.along, float), columns, self._own[columns])
+            views.append(part.times(self.weights[k] ** 0.5))
+        return [*views, *self.prior_rows(here, noise)]
 
-    def view_rows(self, k: int, seen: ViewRows) -> Rows:
-        """Rows of a view, by the unknowns that it depends on."""
-        rows, columns = np.asarray(seen.view.triangle, float) @ seen.moves, self.columns(k)
-        return Rows(rows, np.asarray(seen.view.along, float), columns, self._own[columns])
-
-    def prior_rows(self, state: State, seen: list[ViewRows], noise: float) -> list[Rows]:
+    def prior_rows(self, here: Descent, noise: float) -> list[Rows]:
         """Rows of priors, which err by a residual's noise."""
         result = []
         for part, label, mean, std in self.priors:
-            values, by_unknown = self.report(part, state, seen)
+            values, by_unknown = self.report(part, here)
             which, place = [part.labels.index(label)], self._places[part[:2]]
             rows, left = by_unknown[which] / std, (values[which] - mean) / std
             result.append(Rows(rows, left, place, self._own[place]).times(noise))
         return result
 
-    def sizes(self, seen: list[ViewRows], parts: list[Rows]) -> np.ndarray:
+    def sizes(self, here: Descent, parts: list[Rows]) -> np.ndarray:
         """How much each unknown number shows."""
-        del seen
+        del here
         return column_norms(parts, self.size)
 
-    def ways_out(self, state: State, seen: list[ViewRows]) -> np.ndarray:
+    def ways_out(self, here: Descent) -> np.ndarray:
         """The way in which numbers (size,) would leave their bounds: 1 or -1 at an end, else 0."""
         result = np.zeros(self.size)
         for eye in self.eyes:
-            for label, side in eye.ended(state).items():
+            for label, side in eye.ended(here.state).items():
                 part = Part(eye.owners[label], label)
                 if (place := self.place(part.name, label)) is not None:
-                    result[place] = side * np.sign(self.report(part, state, seen)[1][0])
+                    result[place] = side * np.sign(self.report(part, here)[1][0])
         return result
 
     def stepped(self, state: State, x: np.ndarray) -> State:
@@ -431,7 +427,7 @@ class JointProblem:
                     lenses[camera] = with_parameter(lenses[camera], kind, lens)
         return State(poses, lenses, scales, zeros)
 
-    def moved(self, seen: list[ViewRows], x: np.ndarray) -> float:
+    def moved(self, here: Descent, x: np.ndarray) -> float:
         """The largest move that a step makes in any view, in its solver's units."""
-        moves = (s.moves @ x[self.columns(k)] for k, s in enumerate(seen))
+        moves = (s.moves @ x[self.columns(k)] for k, s in enumerate(here.seen))
         return max(float(np.max(np.abs(y), initial=0)) for y in moves)

@@ -26,76 +26,65 @@ class PointDescent(NamedTuple):
     """Where the squares of all views' points are least.
 
     - `others`: the ends of other places of each view that are as good, what is shared held.
-    - `way`: the start, and where each descent ended, with its steps.
-    - `noise`: what the points err by; `limits`: by how much each view's may (rms, px).
+    - `limits`: by how much each view's points may be off (rms, px).
     """
 
     problem: PointProblem
     end: Descent
     others: list[list[Descent]]
-    way: list[tuple[State, int]]
-    noise: Noise
     limits: list[float]
 
 
-def descend(
-    problem: PointProblem, state: State, reach: float | None, variance: float | None, tell: Tell
-) -> PointDescent:
+def descend(given: PointProblem, state: State, reach: float | None, tell: Tell) -> PointDescent:
     """Descend with all views together, by the problem's `max_steps` at most each time.
 
-    Points farther than `reach` (px) lose their weight on the way; `variance` (px^2) is that of a
-    coordinate of weight 1; both None if unknown. Views that other places fit better, or as well and
-    nearer to the start, go on from there.
+    Points farther than `reach` (px; None: unknown) lose their weight on the way. Views that other
+    places fit better, or as well and nearer to the start, go on from there.
     """
-    given, end, way = problem, problem.stay(state), [(state, 0)]
+    problem, end = given, given.stay(state)
     for times in (1,) if reach is None else REACHES:
         if reach is not None:
             problem = _without_outliers(given, end.state, times * reach)
-        problem, end = _descend_together(problem, end.state, variance, tell)
-        way.append((end.state, end.steps))
+        problem, end = _descend_together(problem, end, tell)
     jumps = 0
     while True:
         # (Each view is compared, and reported, by what all points err by.)
-        noise = problem.shown(end.seen)
+        noise = problem.shown(end)
         settled = replace(problem, known=noise)
-        limits = [rms_limit(matches, variance, reach) for matches in problem.matches]
+        limits = [rms_limit(matches, given.known, reach) for matches in problem.matches]
         places = [rivals(settled, k, end, noise, limit) for k, limit in enumerate(limits)]
         moved = {k: some[0].state for k, some in enumerate(places) if some[0].steps}
         if jumps == JUMPS or not moved:
             break
         jumps += 1
-        problem, end = _descend_together(problem, _joined(problem, end, moved), variance, tell)
-        way.append((end.state, end.steps))
+        problem = replace(problem, known=given.known)
+        problem, end = _descend_together(problem, _joined(problem, end, moved), tell)
     others = [[place for place in some if place.steps] for some in places]
-    return PointDescent(settled, end, others, way, noise, limits)
+    return PointDescent(settled, end, others, limits)
 
 
-def _joined(problem: PointProblem, end: Descent, moved: Mapping[int, State]) -> State:
-    """The state in which some views are where they are in states of their own."""
+def _joined(problem: PointProblem, end: Descent, moved: Mapping[int, State]) -> Descent:
+    """The end, but for views that are where they are in states of their own."""
     names = {k: problem.eyes[k].shot.camera for k in moved}
     cameras = {name: moved[k].lenses[name] for k, name in names.items()}
-    return end.state._replace(lenses={**end.state.lenses, **cameras})
+    return end._replace(state=end.state._replace(lenses={**end.state.lenses, **cameras}))
 
 
 def _descend_together(
-    problem: PointProblem, state: State, variance: float | None, tell: Tell
+    problem: PointProblem, path: Descent, tell: Tell
 ) -> tuple[PointProblem, Descent]:
-    """The problem, and where the squares of all are least."""
-    px, steps, spare = FINE_PX[problem.dtype], 0, problem.left_over
+    """The problem, and where the squares of all are least, from a path's end on."""
+    px, spare = FINE_PX[problem.dtype], problem.left_over
     both = spare + len(problem.priors)
-    known = None if variance is None else Noise(variance, np.inf)
-    if known is None and spare <= 0 < both:
+    if problem.known is None and spare <= 0 < both:
         # Where priors hold what is free, points leave no less than they err by.
         widest = max(prior.std / prior.part.H for prior in problem.priors)
         firm = Noise((HOLDS * float(problem.matches[0].H) * widest) ** 2, np.inf)
-        held = replace(problem, known=firm).descend(state, problem.max_steps, px)
-        known = Noise(squares_of(held.seen) / both, both)
-        state, steps = held.state, held.steps
-    problem = replace(problem, known=known)
-    further = problem.descend(state, problem.max_steps, px)
-    end = further._replace(steps=steps + further.steps)
+        path = path.then(replace(problem, known=firm).descend(path.state, problem.max_steps, px))
+        problem = replace(problem, known=Noise(squares_of(path) / both, both))
+    end = path.then(problem.descend(path.state, problem.max_steps, px))
     weight = sum(matches.weight for matches in problem.matches)
-    rms = (squares_of(end.seen) / weight) ** 0.5
+    rms = (squares_of(end) / weight) ** 0.5
     tell(f"{len(problem.eyes)} views: {end.steps} steps, {rms:.3g} px")
     return problem, end
 
@@ -103,9 +92,11 @@ def _descend_together(
 def _without_outliers(given: PointProblem, state: State, reach: float) -> PointProblem:
     """The problem in which points count, by their given weights, that are no farther than this from
     where they are seen (px); half of each view's in any case."""
-    weights = []
-    for eye, matches in zip(given.eyes, given.matches, strict=True):
+    eyes = {}
+    for k, (eye, matches) in enumerate(zip(given.eyes, given.matches, strict=True)):
         off = np.asarray(matches.distances(eye.canonical(state)))
         most = max(reach, float(np.median(off[matches.counts])))
-        weights.append(np.where(off <= most, matches.given.weight, 0.0))
-    return given.weighed(weights)
+        weight = np.where(off <= most, matches.given.weight, 0.0)
+        counted = replace(matches, given=matches.given._replace(weight=weight))
+        eyes[k] = replace(eye, solver=counted)
+    return given.seeing(eyes)

@@ -172,11 +172,10 @@ def fit_points(
             eye.shot.camera: begin(matches, eye.canonical(start), robust)
             for eye, matches in zip(problem.eyes, problem.matches, strict=True)
         }
-        variance = None if noise_px is None else noise_px**2 / scale
+        known = None if noise_px is None else Noise(noise_px**2 / scale, np.inf)
+        problem, start = replace(problem, known=known), start._replace(lenses=begun)
         with shown(progress, "fitting points") as tell:
-            found = descend(
-                problem, start._replace(lenses=begun), outlier_px, variance, tell or say
-            )
+            found = descend(problem, start, outlier_px, tell or say)
         return _reports(found, given.weight), found
 
     inputs = points3d, points2d, weights
@@ -300,12 +299,11 @@ def _checked(points3d: ArrayLike, points2d: ArrayLike, weights: ArrayLike | None
 
 def _reports(found: PointDescent, weights: np.ndarray) -> tuple[PointFit, ...]:
     """The fits of all views, and of their other places; points had these `weights` (V, N)."""
-    problem, end, noise = found.problem, found.end, found.noise
+    problem, end = found.problem, found.end
     if not np.isfinite(end.squares):
         return tuple(_without_answer(problem, k, end) for k in range(len(problem.eyes)))
-    solved = _solved(problem, end)
-    views = [problem.view_rows(k, rows) for k, rows in enumerate(end.seen)]
-    beyond = beyond_noise(views, solved[0], noise)
+    solved, noise = _solved(problem, end), problem.shown(end)
+    beyond = beyond_noise(solved[0], len(end.seen), noise)
     spare = () if noise.freedom > 0 else (_none_left_over(problem),)
     fits = []
     for k, matches in enumerate(problem.matches):
@@ -319,7 +317,7 @@ def _reports(found: PointDescent, weights: np.ndarray) -> tuple[PointFit, ...]:
         film, eye = problem.cameras[str(k)], problem.eyes[k]
         way = tuple(
             Progress(on_film(eye.canonical(state), film), film.W, film.H, steps)
-            for state, steps in found.way
+            for state, _, steps in end.way
         )
         fits.append(with_modes(fit._replace(history=way, weak=(*fit.weak, *spare)), modes))
     return tuple(fits)
@@ -327,7 +325,7 @@ def _reports(found: PointDescent, weights: np.ndarray) -> tuple[PointFit, ...]:
 
 def _solved(problem: PointProblem, end: Descent) -> tuple[LinearSolution, np.ndarray]:
     """What determines the unknowns at the end of a descent, and the squares' slope (size,)."""
-    parts = problem.parts(end.state, end.seen, problem.noise(end.seen))
+    parts = problem.parts(end, problem.noise(end))
     solved = solve(parts, problem.size, np.zeros(problem.size))
     return solved, slope_of(parts, problem.size)
 
@@ -361,7 +359,8 @@ def _report(
 ) -> PointFit:
     """The fit of a view at the end of a descent, where all views are `solved`; `beyond` is the root
     of the shared unknowns' covariance beyond that of independent errors."""
-    problem, noise, matches = found.problem, found.noise, found.problem.matches[k]
+    problem, matches = found.problem, found.problem.matches[k]
+    noise = problem.shown(end)
     at, film = problem.eyes[k].canonical(end.state), problem.cameras[str(k)]
     camera, blind = on_film(at, film), BLIND[problem.dtype]
     view, freed, place = end.seen[k].view, matches.freed, problem.columns(k)

@@ -1,11 +1,11 @@
 """What points err by: given, or shown by the coordinates that are left over."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from .._joint.agreement import width_by_few
-from .._solver.least_squares import LinearSolution, Rows
+from .._solver.least_squares import LinearSolution
 
 #: Squares may be larger by chance with this probability (an F test). Then a plane's wrong pose
 #: passes for the only one at most once in 2000 times.
@@ -32,7 +32,7 @@ class Noise(NamedTuple):
     def variance(self) -> float:
         """The variance with which 95 % intervals hold the truth, also where few coordinates
         show it."""
-        return self.shown * _widening(self.freedom) ** 2
+        return self.shown * _widening(1.0 * self.freedom) ** 2
 
     @property
     def by_chance(self) -> float:
@@ -52,7 +52,7 @@ class Noise(NamedTuple):
         if not np.isfinite(self.freedom):
             return 1.0
         least = float(chi2.ppf(CHANCE, self.freedom)) / self.freedom
-        return least**-0.5 / _widening(self.freedom)
+        return least**-0.5 / _widening(1.0 * self.freedom)
 
 
 def _widening(freedom: float) -> float:
@@ -61,9 +61,10 @@ def _widening(freedom: float) -> float:
     return width_by_few(freedom) if 0 < freedom <= FEW else 1.0
 
 
-def beyond_noise(parts: list[Rows], solved: LinearSolution, noise: Noise) -> np.ndarray:
+def beyond_noise(solved: LinearSolution, views: int, noise: Noise) -> np.ndarray:
     """The root B (s, s) by which views that disagree widen the covariance of shared moves: by
-    B B^T times the noise's variance, 0 where independent errors explain it by chance.
+    B B^T times the noise's variance, 0 where independent errors explain it by chance. The first
+    parts that were solved are those of `views`.
 
     Each view is a cluster: the sandwich of Bell and McCaffrey (2002), which has no bias where
     errors are independent. Of few views it is noisy, so it is drawn towards its mean.
@@ -74,15 +75,13 @@ def beyond_noise(parts: list[Rows], solved: LinearSolution, noise: Noise) -> np.
     if not (nothing.size and 0 < noise.shown < np.inf and noise.freedom < np.inf):
         return nothing
     back, pulls, shares, against = np.linalg.pinv(solved.triangle), [], [], []
-    for part in parts:  # in shared moves whose covariance is 1, all but these eliminated
-        left = part.left + part.rows @ solved.x[part.columns]
-        table = np.column_stack([part.rows[:, part.own], part.rows[:, ~part.own] @ back, left])
-        whole: Any = np.linalg.qr(table, mode="r")
-        r = whole[np.sum(part.own) :, np.sum(part.own) :]
-        share, vectors = np.linalg.eigh(r[:, :-1].T @ r[:, :-1])
+    for rows in solved.reduced[:views]:
+        left = rows[:, :-1] @ solved.x[solved.shared] + rows[:, -1]
+        by_shared = rows[:, :-1] @ back  # moves whose covariance is 1
+        share, vectors = np.linalg.eigh(by_shared.T @ by_shared)
         counts = share < 1 - OTHERS
         share = share * counts
-        pulls.append(vectors @ (counts * (vectors.T @ r[:, :-1].T @ r[:, -1]) / (1 - share) ** 0.5))
+        pulls.append(vectors @ (counts * (vectors.T @ by_shared.T @ left) / (1 - share) ** 0.5))
         shares.append(share)
         against.append(vectors * (share**2 / (1 - share)) @ vectors.T)
     if not (mean := float(np.sum(shares))) > 0:

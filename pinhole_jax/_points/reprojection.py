@@ -3,8 +3,8 @@
 The problem of `fit_cameras` with other residuals: where points are seen, less where they project.
 """
 
-from collections.abc import Hashable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Hashable
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, cast
 
@@ -18,8 +18,8 @@ from .._camera.camera import Camera, film_map, lens_holds
 from .._camera.film import FilmPart
 from .._camera.rays import project
 from .._fit.implicit import Vantage
-from .._joint.system import JointProblem, ViewRows
-from .._joint.views import Eye, Standpoint, State, indices
+from .._joint.system import Descent, JointProblem
+from .._joint.views import Eye, Standpoint, State, Unknown, indices
 from .._numerics.pointwise import padded, room
 from .._numerics.thin_qr import triangle_and_rhs
 from .._scene.scene import Ball, ball_about
@@ -183,6 +183,12 @@ class PointEye(Eye):
         """The view at a state."""
         return Standpoint(self.solver, state.lenses[self.shot.camera])
 
+    def moves(self, state: State, view: View, unknowns: list[Unknown]) -> np.ndarray:
+        """Moves of the camera (n, k), in its solver's units, by the unknowns: moves, too."""
+        del state
+        place = [indices(self.solver.freed, unknown.kind) for unknown in unknowns]
+        return np.diag(1 / np.asarray(view.scale, float))[:, np.concatenate(place)]
+
 
 @dataclass(frozen=True, eq=False)
 class PointProblem(JointProblem):
@@ -209,22 +215,14 @@ class PointProblem(JointProblem):
         """The number of coordinates less that of unknowns."""
         return self.coordinates - self.size
 
-    def shown(self, seen: list[ViewRows]) -> Noise:
+    def shown(self, here: Descent) -> Noise:
         """How points err, as is known or as their residuals show."""
         if self.known is not None:
             return self.known
         if self.left_over <= 0:
             return Noise(np.inf, 0)
         count = 2 * sum(len(matches.counts) for matches in self.matches)
-        return Noise(squares_of(seen) / (count - self.size), self.left_over)
-
-    def weighed(self, weights: Sequence[np.ndarray]) -> "PointProblem":
-        """The problem whose points count so much, view by view."""
-        eyes = []
-        for eye, matches, weight in zip(self.eyes, self.matches, weights, strict=True):
-            given = matches.given._replace(weight=weight)
-            eyes.append(replace(eye, solver=replace(matches, given=given)))
-        return replace(self, eyes=eyes)
+        return Noise(squares_of(here) / (count - self.size), self.left_over)
 
     @cached_property
     def _own(self) -> np.ndarray:
@@ -232,27 +230,17 @@ class PointProblem(JointProblem):
         columns = np.concatenate([*map(self.columns, range(len(self.eyes)))])
         return np.bincount(columns, minlength=self.size) == 1
 
-    def moves_of(self, k: int) -> np.ndarray:
-        """The indices of a view's unknowns among its moves."""
-        freed = self.matches[k].freed
-        return np.concatenate([indices(freed, u.kind) for u in self.unknowns_of(k)])
-
-    def noise(self, seen: list[ViewRows]) -> float:
+    def noise(self, here: Descent) -> float:
         """What rows of priors err by: as points do (px)."""
-        error = self.shown(seen).variance ** 0.5 if self.priors else 1.0
+        error = self.shown(here).variance ** 0.5 if self.priors else 1.0
         return error if np.isfinite(error) else 1.0
 
-    def rows_of(self, k: int, state: State, view: View) -> ViewRows:
-        """A view, and its moves by the unknowns."""
-        del state
-        return ViewRows(view, np.diag(1 / np.asarray(view.scale, float))[:, self.moves_of(k)])
-
-    def sizes(self, seen: list[ViewRows], parts: list[Rows]) -> np.ndarray:
+    def sizes(self, here: Descent, parts: list[Rows]) -> np.ndarray:
         """The change of each unknown that moves points by `FILM` px: a trust region, without which
         a lens that points hardly show would fold."""
         del parts
         result = np.zeros(self.size)
-        for k, rows in enumerate(seen):
+        for k, rows in enumerate(here.seen):
             np.maximum.at(result, self.columns(k), FILM * np.sum(rows.moves, axis=0))
         return result
 
@@ -261,14 +249,15 @@ class PointProblem(JointProblem):
         cameras = dict(state.lenses)
         for k, (eye, matches) in enumerate(zip(self.eyes, self.matches, strict=True)):
             name, y = eye.shot.camera, np.zeros(len(components(matches.freed)), self.dtype)
-            y[self.moves_of(k)] = x[self.columns(k)]
+            for u in self.unknowns_of(k):
+                y[indices(matches.freed, u.kind)] = x[self.place(u.name, u.kind)]
             cameras[name] = matches.stepped(cameras[name], y)
         return state._replace(lenses=cameras)
 
 
-def squares_of(seen: list[ViewRows]) -> float:
+def squares_of(here: Descent) -> float:
     """The sum of the squares of all points' residuals (px^2)."""
-    return sum(float(rows.view.sums.squares) for rows in seen)
+    return sum(float(rows.view.sums.squares) for rows in here.seen)
 
 
 def exact_squares(matches: Matches) -> float:
@@ -277,11 +266,11 @@ def exact_squares(matches: Matches) -> float:
     return px**2 * len(matches.counts)
 
 
-def rms_limit(matches: Matches, given: float | None, reach: float | None) -> float:
+def rms_limit(matches: Matches, known: Noise | None, reach: float | None) -> float:
     """The root mean square distance (px) above which a view's points are not explained: that
-    of the variance that is given, of outliers, or what is large on the film."""
-    if given is not None:
-        return TIMES * float(np.sqrt(2 * given * len(matches.counts) / matches.weight))
+    of the noise that is known, of outliers, or what is large on the film."""
+    if known is not None:
+        return TIMES * float(np.sqrt(2 * known.shown * len(matches.counts) / matches.weight))
     if reach is not None:
         return reach
     seen_at = matches.in_heights(matches.counts)[1]

@@ -1,8 +1,6 @@
 """Where views of points begin, and other cameras that see their points as well: reversed depths of
 a plane, poses of three points of few."""
 
-from typing import Any, NamedTuple
-
 import equinox as eqx
 import numpy as np
 
@@ -90,67 +88,6 @@ def reversed_depths(matches: Matches, camera: Camera) -> Camera | None:
     return camera.with_pose(middle + turned @ away, axes_of(camera) @ turned.T)
 
 
-class _LoneView(NamedTuple):
-    """One view of a problem by itself, what is shared held, and the camera that the user gave."""
-
-    problem: PointProblem
-    user: Camera
-
-    @property
-    def matches(self) -> Matches:
-        """What it looks at."""
-        return self.problem.matches[0]
-
-    def camera(self, place: Descent) -> Camera:
-        """Its camera at a place."""
-        return self.problem.eyes[0].canonical(place.state)
-
-    def posed(self, state: State, camera: Camera) -> State:
-        """The state in which it has a camera's pose."""
-        pose = lambda c: (c.e, c.p, c.u)
-        name = self.problem.eyes[0].shot.camera
-        here = eqx.tree_at(pose, state.lenses[name], pose(camera))
-        return state._replace(lenses={**state.lenses, name: here})
-
-    def checked(self, place: Descent) -> Descent:
-        """The place, its squares infinite where points are behind the eye or nowhere."""
-        somewhere = np.isfinite([place.squares, self.matches.squares(self.camera(place))])
-        return place if np.all(somewhere) else place._replace(squares=np.inf)
-
-    def is_blind(self, here: Descent) -> bool:
-        """Whether points do not show some direction: places along it are the same."""
-        triangle = here.seen[0].view.triangle[:, self.problem.moves_of(0)]
-        values = np.linalg.svd(triangle, compute_uv=False)
-        return not values[-1] > BLIND[self.matches.dtype] * values[0]
-
-    def starts(self, begin: Camera, explained: bool) -> list[Camera]:
-        """Other places to descend from: the reversed depths of a plane; and of few points, or
-        where they are not explained, the user's pose and those that meet three points."""
-        matches, reverse = self.matches, reversed_depths(self.matches, begin)
-        result, of_three = [] if reverse is None else [reverse], len(matches.counts) == 3
-        if is_few(matches) or not explained:
-            of_points = three_point_cameras(matches, begin)
-            result += [self.user, *sorted(of_points, key=matches.squares)]
-        if of_three:
-            result.sort(key=matches.squares)
-        # (Those that are close to it lead to it; those of three points are where they end.)
-        close = APART_OF_THREE if of_three else CLOSE
-        return [*distinct([begin, *result], close)][1 : 1 + DESCENTS]
-
-    def ranked(self, places: list[Descent], noise: Noise) -> list[Descent]:
-        """The best places and those that are as good by chance."""
-        least, exact = min(place.squares for place in places), exact_squares(self.matches)
-        equal, likely = least * (1 + EQUAL) + exact, least + noise.by_chance
-
-        def order(place: Descent) -> tuple[bool, float]:
-            is_worse = place.squares > equal
-            away = angle(self.camera(place), self.user)
-            return is_worse, place.squares if is_worse else away
-
-        good = [p for p in places if p.squares <= equal or (p.ended and p.squares <= likely)]
-        return sorted(good, key=order)
-
-
 def rivals(
     problem: PointProblem, k: int, end: Descent, noise: Noise, limit: float
 ) -> list[Descent]:
@@ -160,28 +97,85 @@ def rivals(
     What is shared is held; of where the views `end`, no steps are taken. More is looked for where
     points are off by more than the limit (px).
     """
-    eye, alone = problem.eyes[k], [u for u in problem.unknowns_of(k) if len(u.cameras) < 2]
+    alone = [u for u in problem.unknowns_of(k) if len(u.cameras) < 2]
     if POSE not in [u.kind for u in alone]:
         return [end._replace(steps=0)]
-    own: Any = problem.only([k], alone)
-    view = _LoneView(own, eye.canonical(problem.start))
-    matches, here = view.matches, view.checked(view.problem.stay(end.state))
+    view, px = problem.only([k], alone), FINE_PX[problem.dtype]
+    (matches,), user = view.matches, _camera(view, view.start)
+    here = _checked(view, view.stay(end.state))
     lost = not np.isfinite(here.squares)
-    begin = eye.canonical(view.posed(end.state, view.user)) if lost else view.camera(here)
+    begin = _camera(view, _posed(view, end.state, user) if lost else here.state)
     explained = not lost and matches.squares(begin) <= limit**2 * matches.weight
-    starts = view.starts(begin, explained)
-    if not starts or (explained and view.is_blind(here)):
+    starts = _other_starts(matches, begin, user, explained)
+    if not starts or (explained and _is_blind(view, here)):
         return [here]
     near = RULES.same if noise.freedom > 0 else APART_OF_THREE
-    places = [] if lost else [here]
-    for start in [begin, *starts] if lost else starts:
-        there = view.problem.descend(view.posed(end.state, start), STEPS, FINE_PX[problem.dtype])
-        there, camera = view.checked(there), view.camera(there)
+    places = [here]
+    for start in [begin] * lost + starts:
+        there = _checked(view, view.descend(_posed(view, end.state, start), STEPS, px))
         if not np.isfinite(there.squares):
             continue
-        same = [j for j, p in enumerate(places) if angle(view.camera(p), camera) <= near]
+        camera = _camera(view, there.state)
+        same = [j for j, p in enumerate(places) if angle(_camera(view, p.state), camera) <= near]
         if not same:
             places.append(there)
         elif there.squares + exact_squares(matches) < places[same[0]].squares / 2:
             places[same[0]] = there
-    return view.ranked(places, noise) if places else [here]
+    return _ranked(view, places, user, noise)
+
+
+# --- one view of a problem by itself, what is shared held -----------------------------------------
+
+
+def _camera(view: PointProblem, state: State) -> Camera:
+    """Its camera at a state."""
+    return view.eyes[0].canonical(state)
+
+
+def _posed(view: PointProblem, state: State, camera: Camera) -> State:
+    """The state in which it has a camera's pose."""
+    pose = lambda c: (c.e, c.p, c.u)
+    name = view.eyes[0].shot.camera
+    here = eqx.tree_at(pose, state.lenses[name], pose(camera))
+    return state._replace(lenses={**state.lenses, name: here})
+
+
+def _checked(view: PointProblem, place: Descent) -> Descent:
+    """The place, its squares infinite where points are behind the eye or nowhere."""
+    squares = view.matches[0].squares(_camera(view, place.state))
+    return place if np.isfinite(place.squares + squares) else place._replace(squares=np.inf)
+
+
+def _is_blind(view: PointProblem, here: Descent) -> bool:
+    """Whether points do not show some direction: places along it are the same."""
+    seen, moves = here.seen[0]
+    values = np.linalg.svd(seen.triangle[:, np.any(moves, axis=1)], compute_uv=False)
+    return not values[-1] > BLIND[view.dtype] * values[0]
+
+
+def _other_starts(matches: Matches, begin: Camera, user: Camera, explained: bool) -> list[Camera]:
+    """Other places to descend from: the reversed depths of a plane; and of few points, or where
+    they are not explained, the user's pose and those that meet three points."""
+    reverse = reversed_depths(matches, begin)
+    result, of_three = [] if reverse is None else [reverse], len(matches.counts) == 3
+    if is_few(matches) or not explained:
+        of_points = three_point_cameras(matches, begin)
+        result += [user, *sorted(of_points, key=matches.squares)]
+    if of_three:
+        result.sort(key=matches.squares)
+    # (Those that are close to it lead to it; those of three points are where they end.)
+    close = APART_OF_THREE if of_three else CLOSE
+    return [*distinct([begin, *result], close)][1 : 1 + DESCENTS]
+
+
+def _ranked(view: PointProblem, places: list[Descent], user: Camera, noise: Noise) -> list[Descent]:
+    """The best places and those that are as good by chance."""
+    least, exact = min(place.squares for place in places), exact_squares(view.matches[0])
+    equal, likely = least * (1 + EQUAL) + exact, least + noise.by_chance
+
+    def order(place: Descent) -> tuple[bool, float]:
+        is_worse = place.squares > equal
+        return is_worse, place.squares if is_worse else angle(_camera(view, place.state), user)
+
+    good = [p for p in places if p.squares <= equal or (p.ended and p.squares <= likely)]
+    return sorted(good, key=order)

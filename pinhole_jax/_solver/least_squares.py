@@ -88,6 +88,7 @@ class LinearSolution(NamedTuple):
     - `follows` (size, s): the derivative of all unknowns by these.
     - `own`: the unknowns of each block of views, their triangle, and its inverse.
     - `owner` (size,): the number of the block that owns an unknown, -1 of shared ones.
+    - `reduced`: the rows by shared unknowns that each block leaves, and their residuals.
     """
 
     x: np.ndarray
@@ -96,6 +97,7 @@ class LinearSolution(NamedTuple):
     follows: np.ndarray
     own: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]]
     owner: np.ndarray
+    reduced: list[np.ndarray]
 
     def root(self, place: np.ndarray, block: int | None = None) -> np.ndarray:
         """A root of the inverse of the normal matrix between unknowns (p,): it, times its
@@ -143,7 +145,7 @@ def solve(parts: list[Rows], size: int, damping: np.ndarray) -> LinearSolution:
         blocks.setdefault(block, []).append(part)
     x, owns, follows = np.zeros(size), {}, np.zeros((size, len(shared)))
     follows[shared] = np.eye(len(shared))
-    reduced = [np.column_stack([np.diag(damping[shared]), 0 * shared])]
+    reduced = []
     for block, some in blocks.items():
         own = np.flatnonzero(owner == block)
         r = _eliminated(some, own, shared, damping[own])
@@ -153,9 +155,10 @@ def solve(parts: list[Rows], size: int, damping: np.ndarray) -> LinearSolution:
             owns[block] = own, r[:m, :m], np.linalg.pinv(r[:m, :m])
             solved = -owns[block][2] @ r[:m, m:]
             follows[own], x[own] = solved[:, :-1], solved[:, -1]
-    r: Any = np.linalg.qr(np.concatenate(reduced), mode="r")[: len(shared)]
+    damped = np.column_stack([np.diag(damping[shared]), 0 * shared])
+    r: Any = np.linalg.qr(np.concatenate([damped, *reduced]), mode="r")[: len(shared)]
     x += follows @ (-np.linalg.pinv(r[:, :-1]) @ r[:, -1])
-    return LinearSolution(x, shared, r[:, :-1], follows, owns, owner)
+    return LinearSolution(x, shared, r[:, :-1], follows, owns, owner, reduced)
 
 
 def _eliminated(

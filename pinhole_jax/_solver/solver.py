@@ -124,10 +124,6 @@ class Solver:
         target = self.target if target is None else target
         return replace(self, weights=weights, target=target, only_finest=only_finest)
 
-    def beside(self, others: Prior) -> "Solver":
-        """Return the solver to which what other views know counts."""
-        return replace(self, prior=others)
-
     def beside_motions(self, velocities: Iterable[np.ndarray]) -> "Solver":
         """Return the solver whose looks are differentiated by vertices' velocities (v, 3), too."""
         mesh = self.subject.scene.mesh
@@ -135,10 +131,6 @@ class Solver:
         room = lambda v: np.pad(v, ((0, len(mesh.vertices) - len(v)), (0, 0)))
         motions = (jnp.asarray(room(v), self.dtype) for v in velocities)
         return replace(self, motions=tuple(motions))
-
-    def like(self, kind: Kind) -> "Solver":
-        """Return the solver for masks of another kind."""
-        return replace(self, kind=kind)
 
     @property
     def dtype(self) -> np.dtype:

@@ -51,8 +51,7 @@ def weak_directions(
 ) -> tuple[bool, tuple[str, ...]]:
     """True if a direction is not seen at all, and each weak direction as a sentence, but for
     those that are `named` already. `words` has phrases for the chief parts of a direction."""
-    _, values, directions = np.linalg.svd(triangle)
-    share = values / max(values[0], np.finfo(values.dtype).tiny)
+    _, share, directions = shown(triangle)
     sentences = tuple(
         sentence(words(direction), s, bool(s <= blind))
         for s, direction in zip(share[::-1], directions[::-1], strict=True)
