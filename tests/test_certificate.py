@@ -234,7 +234,7 @@ test_bad_input_is_refused = refuses(
         "`image`: .* got int64 of shape": {"image": lambda c, s: jnp.zeros((H, W), int)},
         "`image`: .* got tuple": {"image": lambda c, s: (c.phi,)},
         "`tolerance`: expected a positive number, got 0.0": {"tolerance": 0.0},
-        "`directions`: expected at least 1, got 0": {"directions": 0},
+        "`directions`: expected an integer of at least 1, got 0": {"directions": 0},
     },
 )
 

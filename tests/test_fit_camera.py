@@ -209,10 +209,10 @@ test_bad_input_is_refused = refuses(
     pj.fit_camera,
     {"scene": SCENE, "target": MASK, "camera": CAMERA, "free": "pose,k1"},
     {
-        r"`target`: expected shape \(H, W\) = \(80, 96\), got shape \(80, 96, 1\)": {
+        r"`target`: expected the camera's shape \(H, W\) = \(80, 96\), got shape \(80, 96, 1\)": {
             "target": MASK[:, :, None]
         },
-        r"`target`: expected the camera's shape \(H, W\) = \(80, 96\), got \(96, 80\)": {
+        r"`target`: expected the camera's shape \(H, W\) = \(80, 96\), got shape \(96, 80\)": {
             "target": MASK.T
         },
         "`target`: expected a mask that covers something, got an empty one": {"target": 0 * MASK},
@@ -225,13 +225,13 @@ test_bad_input_is_refused = refuses(
         },
         "`target`: expected integers that are all 0 or 1": {"target": 2 * MASK.astype(int)},
         r"`target`: expected finite values, got nan at \[30, 30\]": {"target": HOLE},
-        "`target`: expected shape .* choose a channel": {"target": np.dstack([MASK] * 4)},
+        "`target`: expected .* choose a channel": {"target": np.dstack([MASK] * 4)},
         "give `mask > 0` if all but 0 is the object": {"target": 9 * MASK.astype(np.uint16)},
         "`target`: .*got int64 from -1 to 0": {"target": -MASK.astype(int)},
         "`target`: expected dtype bool, uint8 or float": {"target": np.full((80, 96), "x")},
-        "`target`: expected shape": {"target": None},
+        "`target`: expected the camera's shape .*, got None": {"target": None},
         r"`target`: expected shape \(H, W\)": {"camera": None, "phi": 0.6, "target": MASK[0]},
-        r"`weight`: expected shape \(H, W\) = \(80, 96\)": {"weight": MASK[1:]},
+        r"`weight`: expected the camera's shape \(H, W\) = \(80, 96\)": {"weight": MASK[1:]},
         "`weight`: expected finite values of at least 0": {"weight": -MASK},
         "`weight`: expected some pixels to count": {"weight": 0 * MASK},
         "`weight`: expected dtype bool or float": {"weight": MASK.astype(int)},

@@ -166,7 +166,7 @@ test_bad_input_is_refused = refuses(
         "`cameras`: expected one for each of 3 masks, got 1": {"cameras": STARTS[:1]},
         "`weights`: expected one for each of 3 masks, got 1": {"weights": [None]},
         "`shared`: expected names among phi, d": {"shared": "pose", "free": "phi"},
-        "`free`: expected names among .* got 'zoom'": {"shared": "zoom"},
+        "`shared`: expected names among .* got 'zoom'": {"shared": "zoom"},
     },
 )
 

@@ -54,6 +54,8 @@ VIEW, SCENE = pj.Camera(**CAMERA, **SIZE), pj.Scene(pj.Mesh(BOX.vertices, BOX.fa
 VIEWS, MASK = jax.tree.map(lambda x: np.stack([x, x]), VIEW), np.zeros((18, 24))
 RAYS, JOINT = pj.Rays(np.zeros(3), np.ones(3)), pj.JointView(SCENE, MASK)
 NAMES = "expected names like 'pose', or several: 'pose,phi'"
+READER, RAGGED = "(`pj.io.load_mask` reads files)", [[1, 0], [1]]
+SHAPE = "expected the camera's shape (H, W) = (18, 24)"
 
 
 def calls(*given, **more):
@@ -109,17 +111,49 @@ CALLS = {
         pj.fit_many
     ),
     "`items`: expected records, one after another, got 3": calls(3)(pj.fit_many),
-    "`item`: expected a mapping of fields, got str": [
-        *calls(["a"])(pj.fit_many), *calls("a")(pj.fit_one)
-    ],
+    "`items[0]`: expected a mapping of fields, got str": calls(["a"])(pj.fit_many),
+    "`record`: expected a mapping of fields, got str": calls("a")(pj.fit_one),
     f"`free`: {NAMES}": fit(free=[None, 3]),
     f"`shared`: {NAMES}": fit(pj.fit_cameras, [VIEW], [MASK], shared=[None]),
+    "`shared`: expected names among phi, d, ": [
+        *fit(pj.fit_cameras, [VIEW], [MASK], shared=["foo"])
+    ],
+    "`shared`: expected names among pose, ": fit(pj.fit_cameras, None, [MASK], shared=["foo"]),
+    "`shared`: expected coefficients of a BrownConrady": [
+        *fit(pj.fit_cameras, [VIEW], [MASK], shared=["k4"])
+    ],
+    "`outlier_px`: expected a positive number of px, got": [
+        *fit(outlier_px=["2", [2], True, np.nan, np.inf]),
+        *fit(pj.fit_cameras, [VIEW], [MASK], outlier_px=["a"]),
+    ],
+    "`noise_px`: expected a positive number of px, got": [
+        *(c for x in ("a", [1], True) for c in calls(MASK, MASK, VIEW, noise_px=x)(pj.fit_points))
+    ],
+    f"`points2d`: expected real numbers of shape (N, 2), or (V, N, 2) for V views, got {RAGGED}": [
+        *calls(np.eye(3), RAGGED, VIEW)(pj.fit_points)
+    ],
+    f"`points3d`: expected a real array of shape (18, 3), got {RAGGED}": [
+        *calls(RAGGED, MASK[:, :2], VIEW)(pj.fit_points)
+    ],
+    f"`target`: {SHAPE} {READER}, got 'mask.png'": [
+        *fit(mask="mask.png", max_steps=[1])
+    ],
+    f"`target`: expected shape (H, W) {READER}, got 'mask.png'": [
+        *fit(camera=None, mask="mask.png", phi=[0.6])
+    ],
+    f"`target`: {SHAPE}, got None": fit(mask=None, max_steps=[1]),
+    f"`target`: {SHAPE}, got {RAGGED}": fit(mask=RAGGED, max_steps=[1]),
+    f"`weight`: {SHAPE}, got {RAGGED}": fit(weight=[RAGGED]),
     "`max_steps`: expected an integer of at least 1": [
-        *fit(max_steps=["3"]), *fit(pj.fit_cameras, [VIEW], [MASK], max_steps=[2.5])
+        *fit(max_steps=["3", True]), *fit(pj.fit_cameras, [VIEW], [MASK], max_steps=[2.5])
     ],
     "`prior`: expected a dict of names and their": fit(prior=[[1, 2]]),
+    "`prior`: expected (mean, standard deviation) of 'e_x', got": fit(
+        prior=[{"e_x": pair} for pair in (("a", 1), (0, True), ([0, 0], 1), {1, 2}, (0, np.inf))]
+    ),
     "`bounds`: expected a dict of names and their": fit(bounds=[[1, 2]]),
     "`phi`: expected an angle (rad), got Camera": fit(camera=None, phi=[VIEW]),
+    "`phi`: expected an angle (rad), got bool": fit(camera=None, phi=[True]),
     "`fit`: expected a Fit, got Camera": [
         *calls(VIEW)(plot.levels),
         *calls(VIEW, SCENE)(plot.off_px, plot.outline_sigma),

@@ -105,7 +105,7 @@ test_wrong_arguments_are_named = refuses(
             "views": [{"scale": "size"}],
             "prior": {"size": {"x": (0, 0.1)}},
         },
-        "`shared`: expected names among phi, .* got pose": {"shared": "pose"},
+        "`shared`: expected names among phi, .* got 'pose'": {"shared": "pose"},
         "`shared`: expected groups of cameras among camera, got 'left'": {
             "shared": {"phi": [("camera", "left")]}
         },

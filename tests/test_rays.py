@@ -79,7 +79,7 @@ def test_project_is_differentiable_at_the_eye_plane():
 @pytest.mark.parametrize(
     "call, message",
     [
-        (lambda: pj.camera_rays(CAMERA, 0), "`samples`: expected at least 1"),
+        (lambda: pj.camera_rays(CAMERA, 0), "`samples`: expected an integer of at least 1"),
         (lambda: pj.camera_rays(CAMERA, key=jax.random.key(0)), "`key`: expected `samples`"),
         (lambda: pj.rays_through(CAMERA, [1.0, 2, 3]), r"`points`: expected shape \(..., 2\), got"),
         (lambda: pj.project(CAMERA, [1.0, 2]), r"`points`: expected shape \(..., 3\), got"),

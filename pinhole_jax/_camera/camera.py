@@ -19,7 +19,6 @@ THE CONVENTIONS
   `d` has a meaning only while the film's height is held: then `phi = 2 atan(h / (2d))`.
 """
 
-import operator
 from dataclasses import replace
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -34,6 +33,7 @@ from .._numerics.arrays import (
     MISSING,
     ArrayLike,
     Input,
+    as_count,
     checked,
     float_array,
     float_dtype,
@@ -412,13 +412,7 @@ def lens_holds(camera: Camera, part: FilmPart) -> Bool[Array, ""]:
 
 def resolution(name: str, value: Any) -> int:
     """Return a number of pixels, or raise ValueError with the argument's name."""
-    try:
-        size = operator.index(value)
-    except TypeError:
-        raise ValueError(f"`{name}`: expected an integer of at least 1, got {value!r}") from None
-    if size < 1 or isinstance(value, bool):
-        raise ValueError(f"`{name}`: expected an integer of at least 1, got {value}")
-    if size > MOST_PIXELS:
+    if (size := as_count(name, value)) > MOST_PIXELS:
         raise ValueError(f"`{name}`: expected at most {MOST_PIXELS} pixels, got more")
     return size
 

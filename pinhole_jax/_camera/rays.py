@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from .._numerics.arrays import ArrayLike, Input, as_array, is_real
+from .._numerics.arrays import ArrayLike, Input, as_array, as_count, is_real
 from .._numerics.pointwise import pointwise
 from .._numerics.safe import binary_inverse, safe_divide
 from .camera import (
@@ -77,8 +77,8 @@ def camera_rays(
     check_camera(camera)
     if samples is None and key is not None:
         raise ValueError("`key`: expected `samples` to go with it, got None")
-    if samples is not None and samples < 1:
-        raise ValueError(f"`samples`: expected at least 1 per side of a pixel, got {samples}")
+    if samples is not None:
+        as_count("samples", samples)
     return _rays(camera, samples, key)
 
 

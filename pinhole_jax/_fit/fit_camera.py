@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from numbers import Real
 from typing import Any, NamedTuple
 
 import jax
@@ -16,8 +15,23 @@ from .._files.progress import say, shown
 from .._mask.edges import SparseImage
 from .._mask.kinds import Kind
 from .._mask.mask import Mask
-from .._mask.target import MOST_BORDER, border_of, check_target, inside_of, levelled
-from .._numerics.arrays import ArrayLike, Input, float_dtype, is_concrete
+from .._mask.target import (
+    MOST_BORDER,
+    as_image,
+    border_of,
+    check_target,
+    inside_of,
+    levelled,
+)
+from .._numerics.arrays import (
+    ArrayLike,
+    Input,
+    as_count,
+    check_positive,
+    float_dtype,
+    is_concrete,
+    is_number,
+)
 from .._outline.outline_errors import OutlineErrors, is_computed
 from .._outline.statistics import is_explained, mask_errors
 from .._rules import RULES
@@ -79,8 +93,9 @@ def fit_camera(
       None: plain least squares.
     - `prior`: mean and standard deviation of free parameters, in their units, by the names of
       `Fit.names` (not of rotations). The mask's weight against it follows from its residuals.
-    - `bounds`: (low, high) of a free phi, aspect or coefficient of distortion. A parameter that
-      ends at a bound is no longer determined: the status is "rank_deficient" at best.
+    - `bounds`: (low, high) of a free phi, aspect or coefficient of distortion. One that starts
+      outside begins at the nearer bound. One that ends at a bound is no longer determined: the
+      status is "rank_deficient" at best.
     - `max_steps`: a limit for each level.
     - `progress`: True shows a line on stderr, None only in notebooks; a function is called with a
       `Progress` after each level, or with `record` after each step.
@@ -107,8 +122,8 @@ def fit_camera(
     ```
     """
     check_scene(scene)
-    check_steps(max_steps)
-    check_reach(outlier_px)
+    as_count("max_steps", max_steps)
+    check_px(outlier_px=outlier_px)
     if camera is not None:
         check_camera(camera)
         check_alone("camera", phi=phi, lens=lens)
@@ -144,16 +159,11 @@ def fit_camera(
         return through(run, inputs, answer, velocity)
 
 
-def check_steps(max_steps: Any) -> None:
-    """Raise ValueError unless this is a number of steps."""
-    if not isinstance(max_steps, int | np.integer) or max_steps < 1:
-        raise ValueError(f"`max_steps`: expected an integer of at least 1, got {max_steps!r}")
-
-
-def check_reach(outlier_px: Any) -> None:
-    """Raise ValueError unless this is a distance in px, or None."""
-    if outlier_px is not None and not outlier_px > 0:
-        raise ValueError(f"`outlier_px`: expected a positive number of px, got {outlier_px}")
+def check_px(**lengths: Any) -> None:
+    """Raise ValueError unless these are lengths in px, or None."""
+    for name, value in lengths.items():
+        if value is not None:
+            check_positive(name, value, "a positive number of px")
 
 
 def check_alone(given: str, **others: Any) -> None:
@@ -407,8 +417,8 @@ def anywhere(
             "`camera`: expected a camera to start from, as the pose is not free, got none with"
             f" `free` {','.join(freed)}"
         )
-    shape = np.shape(target)
-    if len(shape) != 2 or 0 in shape:
+    shape = as_image("target", target).shape
+    if 0 in shape:
         raise ValueError(f"`target`: expected shape (H, W), got shape {shape}")
     if phi is None:
         if not focal_is_free(freed):
@@ -416,7 +426,7 @@ def anywhere(
                 "`phi`: expected the field of view (rad), a `camera`, or phi in `free`, got none"
             )
         phi = 0.7
-    if np.ndim(phi) or not isinstance(phi, Real | np.ndarray | jax.Array):
+    if not is_number(phi):
         raise ValueError(f"`phi`: expected an angle (rad), got {type(phi).__name__}")
     dtype = float_dtype(*jax.tree.leaves(scene))
     e, p, u = (np.array(x, dtype) for x in ([0, 0, 1], [0, 0, 0], [0, 1, 0]))

@@ -17,6 +17,7 @@ from .._mask.kinds import Kind
 from .._mask.mask import Mask
 from .._mask.matte import Band, Matte, light, matte, tiles
 from .._mask.target import NOISE, Window, edge_distance
+from .._numerics.arrays import array_of
 from .._outline.outline_errors import OutlineErrors
 from .._outline.statistics import mask_errors
 from .._outline.stretches import coverage_of
@@ -84,8 +85,8 @@ class PhotoResult(NamedTuple):
 
 def check_photo(photo: Any, W: int, H: int) -> np.ndarray:
     """A photo (H, W, 3) of type uint8 or float, or raise ValueError."""
-    array = np.asarray(photo)
     expected = f"the mask's size and three colours, shape (H, W, 3) = ({H}, {W}, 3)"
+    array = np.asarray(array_of("photo", photo, expected))
     if array.shape != (H, W, 3):
         hint = ""
         if array.shape == (H, W, 4):

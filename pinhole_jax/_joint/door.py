@@ -16,11 +16,12 @@ import numpy as np
 from .._camera.camera import Camera, check_camera
 from .._camera.distortion import COEFFICIENTS
 from .._camera.poses import Pose, check_pose, inverse, pose_of
-from .._fit.fit_camera import check_border, check_reach, check_steps
+from .._fit.fit_camera import check_border, check_px
 from .._fit.photo import check_photo
 from .._mask.mask import Mask
 from .._mask.pyramid import LEAST_CELLS
 from .._mask.target import check_target, levelled
+from .._numerics.arrays import as_count, check_positive
 from .._scene.assembly import Posture
 from .._scene.scene import check_scene
 from .._solver.moves import Bounds, canonical
@@ -62,8 +63,8 @@ def joint_problem(
 
     Raises ValueError for arguments that make no fit.
     """
-    check_steps(max_steps)
-    check_reach(outlier_px)
+    as_count("max_steps", max_steps)
+    check_px(outlier_px=outlier_px)
     _check_views(views)
     cameras = _checked_cameras(cameras)
     poses, places = _poses("objects", objects), _poses("rig", rig)
@@ -145,14 +146,14 @@ def _groups_of(shared: Any, cameras: Mapping[str, Camera]) -> dict[str, list[tup
     """
     if not isinstance(shared, Mapping):
         shared = {name: [tuple(cameras)] for name in as_names(shared, "shared")}
-    first, result = next(iter(cameras.values())), {}
+    known, first, result = [*SHARED, "distortion"], next(iter(cameras.values())), {}
     for name, given in shared.items():
+        if name not in known:
+            words = f"expected names among {', '.join(known)}, got {name!r}"
+            raise ValueError(f"`shared`: {words}")
         groups = [(group,) if isinstance(group, str) else (*group,) for group in given if group]
         named = [n for group in groups for n in group]
-        for row in check_free((name,), first):
-            if row not in SHARED:
-                known = ", ".join([*SHARED, "distortion"])
-                raise ValueError(f"`shared`: expected names among {known}, got {row}")
+        for row in check_free((name,), first, argument="shared"):
             if unknown := [n for n in named if n not in cameras]:
                 words = f"expected groups of cameras among {', '.join(cameras)}, got {unknown[0]!r}"
                 raise ValueError(f"`shared`: {words}")
@@ -197,8 +198,8 @@ def priors_of(prior: Any, problem: JointProblem) -> list[JointPrior]:
         # (A small turn has no value that could be known.)
         labels = [x for part in parts for x in part.labels if not x.startswith("rotation")]
         for label, mean, std in zip(given, *measured(given, labels).tolist(), strict=True):
-            if label == SCALE and not mean > 0:
-                raise ValueError(f"`prior`: expected a positive scale of {name!r}, got {mean}")
+            if label == SCALE:
+                check_positive("prior", mean, f"a positive scale of {name!r}")
             part = next(part for part in parts if label in part.labels)
             result.append(JointPrior(part, label, mean, std))
     return [*{str(prior): prior for prior in result}.values()]
@@ -228,9 +229,7 @@ def zeros_of(given: Any, views: Sequence[JointView]) -> list[JointPrior]:
             raise ValueError(
                 f"`joint_zeros`: expected joints among {', '.join(units)}, got {name!r}"
             )
-        if not (np.ndim(std) == 0 and np.isfinite(std) and std > 0):
-            words = f"expected a positive deviation of {name!r}, got {std!r}"
-            raise ValueError(f"`joint_zeros`: {words}")
+        check_positive("joint_zeros", std, f"a positive deviation of {name!r}")
         result.append(JointPrior(Part(name, ZERO), ZERO, 0.0, float(std)))
     return result
 

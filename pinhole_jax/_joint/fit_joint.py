@@ -169,14 +169,15 @@ def fit_cameras(
     """
     check_scene(scene)
     count = _checked_count(targets, cameras, weights)
+    if not as_names(shared, "shared"):
+        raise ValueError(f"`shared`: expected at least one of {', '.join(SHARED)}, got none")
     if cameras is None:
-        freed = check_free((*as_names(free), *as_names(shared, "shared")), None, lens)
+        common = check_free(shared, None, lens, "shared")
+        freed = check_free((*as_names(free), *common), None, lens)
         starts = [anywhere(scene, target, freed, phi, lens) for target in targets]
     else:
         check_alone("cameras", phi=phi, lens=lens)
         starts = cameras
-    if not as_names(shared, "shared"):
-        raise ValueError(f"`shared`: expected at least one of {', '.join(SHARED)}, got none")
     names = [str(k) for k in range(count)]
     each = zip(targets, names, [None] * count if weights is None else weights, strict=True)
     fit = _joint_fit(

@@ -1,9 +1,12 @@
 """The target image: checked at the door, its levels, its window and how far its edge is."""
 
+from os import PathLike
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+
+from .._numerics.arrays import array_of
 
 #: How far floats may reach out of [0, 1]: noise is kept as it is, since clipping would bias a fit.
 NOISE = 1.0
@@ -62,15 +65,21 @@ def check_image(name: str, image: Any, *size: int) -> np.ndarray:
     return _with_range(name, image, *size)[0]
 
 
-def _with_range(name: str, image: Any, *size: int) -> tuple[np.ndarray, tuple[Any, Any]]:
-    """Return the checked image with its least and largest value, which callers need, too."""
-    array = np.asarray(image)
-    expected = f"shape (H, W) = {size[::-1]}" if size else "shape (H, W)"
-    if array.ndim != 2:
+def as_image(name: str, image: Any, *size: int) -> Any:
+    """Return an array (H, W), of this size (W, H) if it is given, or raise ValueError."""
+    expected = f"the camera's shape (H, W) = {size[::-1]}" if size else "shape (H, W)"
+    if isinstance(image, str | PathLike):
+        expected += " (`pj.io.load_mask` reads files)"
+    array = array_of(name, image, expected)
+    if array.ndim != 2 or array.shape != (size[::-1] or array.shape):
         hint = "; choose a channel or average them" if array.ndim == 3 else ""
         raise ValueError(f"`{name}`: expected {expected}, got shape {array.shape}{hint}")
-    if size and array.shape != size[::-1]:
-        raise ValueError(f"`{name}`: expected the camera's {expected}, got {array.shape}")
+    return array
+
+
+def _with_range(name: str, image: Any, *size: int) -> tuple[np.ndarray, tuple[Any, Any]]:
+    """Return the checked image with its least and largest value, which callers need, too."""
+    array = np.asarray(as_image(name, image, *size))
     if array.dtype.kind not in "biuf":
         raise ValueError(f"`{name}`: expected dtype bool, uint8 or float, got {array.dtype}")
     low, high = array.min(), array.max()
@@ -144,9 +153,7 @@ def check_weight(weight: Any, W: int, H: int) -> np.ndarray:
     """Return weights as float64 (H, W), ones for None, or raise ValueError."""
     if weight is None:
         return np.broadcast_to(1.0, (H, W))
-    array = np.asarray(weight)
-    if array.shape != (H, W):
-        raise ValueError(f"`weight`: expected shape (H, W) = ({H}, {W}), got {array.shape}")
+    array = np.asarray(as_image("weight", weight, W, H))
     if array.dtype == bool or np.issubdtype(array.dtype, np.floating):
         array = array.astype(np.float64)
     else:

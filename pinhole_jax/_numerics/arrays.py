@@ -1,5 +1,9 @@
 """The door: a user's arguments become arrays of one float type, or an error that names them."""
 
+import contextlib
+import operator
+from numbers import Real
+from reprlib import repr as brief
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -37,6 +41,39 @@ def is_concrete(*values: Any) -> bool:
 def is_real(array: Any) -> bool:
     """Return True for an array of floats or integers."""
     return any(jnp.issubdtype(array.dtype, kind) for kind in (jnp.floating, jnp.integer))
+
+
+def is_number(value: Any) -> bool:
+    """Return True for one real number; True and False are none."""
+    if not isinstance(value, Real | np.ndarray | jax.Array) or np.ndim(value):
+        return False
+    return is_real(np.asarray(value))
+
+
+def check_positive(name: str, value: Any, expected: str = "a positive number") -> None:
+    """Raise ValueError unless this is a finite number above 0."""
+    if not (is_number(value) and 0 < value < np.inf):
+        raise ValueError(f"`{name}`: expected {expected}, got {value!r}")
+
+
+def as_count(name: str, value: Any) -> int:
+    """Return an integer of at least 1, or raise ValueError."""
+    with contextlib.suppress(TypeError):
+        if (count := operator.index(value)) >= 1 and not isinstance(value, bool):
+            return count
+    raise ValueError(f"`{name}`: expected an integer of at least 1, got {value!r}")
+
+
+def array_of(name: str, value: Any, expected: str) -> Any:
+    """Return the value as an array: JAX's stay, others become NumPy's.
+
+    Raises ValueError for None, a text, and lists of different lengths.
+    """
+    with contextlib.suppress(ValueError):
+        array = value if isinstance(value, jax.Array) else np.asarray(value)
+        if array.ndim or array.dtype.kind not in "OU":
+            return array
+    raise ValueError(f"`{name}`: expected {expected}, got {brief(value)}")
 
 
 def as_array(value: Any) -> Any:
@@ -88,14 +125,9 @@ def checked(name: str, value: Any, shape: tuple[int | None, ...], dtype: np.dtyp
     NumPy's have this type: also float64, which JAX may not know.
     """
     expected = f"a real array of shape {_words(shape)}" if shape else "a real number"
-    try:
-        array = value if isinstance(value, jax.Array) else np.asarray(value)
-    except ValueError as error:
-        raise ValueError(f"`{name}`: expected {expected}, got {value!r}") from error
+    array = array_of(name, value, expected)
     if not is_real(array):
-        is_one = not array.ndim and array.dtype.kind in "OU"  # None, a text
-        got = repr(value) if is_one else f"dtype {array.dtype}"
-        raise ValueError(f"`{name}`: expected {expected}, got {got}")
+        raise ValueError(f"`{name}`: expected {expected}, got dtype {array.dtype}")
     if len(array.shape) != len(shape) or any(
         want is not None and want != got for want, got in zip(shape, array.shape, strict=True)
     ):

@@ -12,7 +12,7 @@ from .._camera.axes import axes_of
 from .._camera.camera import Camera, check_camera
 from .._camera.poses import pose_of
 from .._files.progress import say, shown
-from .._fit.fit_camera import check_reach, check_steps
+from .._fit.fit_camera import check_px
 from .._fit.implicit import Slope, Vantage, check_plain, steps_of, through, velocity_of
 from .._fit.result import (
     CameraResult,
@@ -26,7 +26,14 @@ from .._fit.result import (
 from .._joint.door import bounds_by_name, owners_of, priors_of, with_unknowns
 from .._joint.system import Descent
 from .._joint.views import JointView, State
-from .._numerics.arrays import ArrayLike, Input, checked, is_concrete
+from .._numerics.arrays import (
+    ArrayLike,
+    Input,
+    array_of,
+    as_count,
+    checked,
+    is_concrete,
+)
 from .._numerics.pointwise import room
 from .._rules import RULES
 from .._scene.scene import Scene
@@ -155,10 +162,8 @@ def fit_points(
     found = pj.fit_points(points, seen_at, start, outlier_px=1.0)  # some may be wrong
     ```
     """
-    check_steps(max_steps)
-    check_reach(outlier_px)
-    if noise_px is not None and not 0 < noise_px < np.inf:
-        raise ValueError(f"`noise_px`: expected a positive number of px, got {noise_px}")
+    as_count("max_steps", max_steps)
+    check_px(outlier_px=outlier_px, noise_px=noise_px)
 
     def run(inputs: Any) -> tuple[tuple[PointFit, ...], PointDescent]:
         given = _checked(*inputs)
@@ -266,11 +271,11 @@ def _cameras(camera: Any, count: int) -> list[Camera]:
 def _checked(points3d: ArrayLike, points2d: ArrayLike, weights: ArrayLike | None) -> PointArrays:
     """All views' points (V, N, .) in float64, NaN and a weight of 0 where not seen. Raises
     ValueError for others."""
-    seen_at = np.asarray(points2d)
+    expected = "real numbers of shape (N, 2), or (V, N, 2) for V views"
+    seen_at = np.asarray(array_of("points2d", points2d, expected))
     if seen_at.dtype.kind not in "fiu" or seen_at.ndim not in (2, 3) or seen_at.shape[-1] != 2:
         raise ValueError(
-            "`points2d`: expected real numbers of shape (N, 2), or (V, N, 2) for V views, got"
-            f" shape {seen_at.shape}, dtype {seen_at.dtype}"
+            f"`points2d`: expected {expected}, got shape {seen_at.shape}, dtype {seen_at.dtype}"
         )
     seen_at = np.array(seen_at, float, ndmin=3)
     V, N, _ = seen_at.shape
@@ -278,8 +283,8 @@ def _checked(points3d: ArrayLike, points2d: ArrayLike, weights: ArrayLike | None
         raise ValueError("`points2d`: expected finite values, or NaN where not seen, got inf")
 
     def in_each(name: str, value: ArrayLike, *shape: int) -> np.ndarray:
-        whole = (V, *shape)
-        known = whole if np.ndim(value) == len(whole) else shape
+        whole, value = (V, *shape), array_of(name, value, f"a real array of shape {shape}")
+        known = whole if value.ndim == len(whole) else shape
         array = np.asarray(checked(name, value, known, np.dtype(np.float64)), float)
         return np.broadcast_to(array, whole)
 

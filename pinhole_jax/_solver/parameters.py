@@ -184,9 +184,13 @@ def focal_is_free(free: Sequence[str]) -> bool:
 
 
 def check_free(
-    free: str | Sequence[str], camera: Camera | None = None, lens: Lens | None = None
+    free: str | Sequence[str],
+    camera: Camera | None = None,
+    lens: Lens | None = None,
+    argument: str = "free",
 ) -> tuple[str, ...]:
-    """Return the names in a fixed order, or raise ValueError for unknown or conflicting ones.
+    """Return an argument's names in a fixed order, or raise ValueError for unknown or conflicting
+    ones.
 
     The coefficients are those of the camera's distortion (or, without one, the lens's); where there
     is none, of a `BrownConrady`.
@@ -195,20 +199,21 @@ def check_free(
     lens = lens if camera is None else camera.lens
     model = BrownConrady if lens is None or lens.distortion is None else type(lens.distortion)
     own = [field.name for field in fields(model)]
-    freed = tuple(n for name in as_names(free) for n in (own if name == "distortion" else [name]))
+    names = as_names(free, argument)
+    freed = tuple(n for name in names for n in (own if name == "distortion" else [name]))
     known = ", ".join(NAMES)
     for name in freed:
         if name not in PARAMETERS:
-            raise ValueError(f"`free`: expected names among {known}, got {name!r}")
+            raise ValueError(f"`{argument}`: expected names among {known}, got {name!r}")
         if name in COEFFICIENTS and name not in own:
             raise ValueError(
-                f"`free`: expected coefficients of a {model.__name__} ({', '.join(own)}), got"
-                f" {name!r}"
+                f"`{argument}`: expected coefficients of a {model.__name__} ({', '.join(own)}),"
+                f" got {name!r}"
             )
     if not freed:
-        raise ValueError(f"`free`: expected at least one of {known}, got none")
+        raise ValueError(f"`{argument}`: expected at least one of {known}, got none")
     if {"phi", "d"} <= set(freed):
-        raise ValueError("`free`: expected phi or d (both set the focal length), got both")
+        raise ValueError(f"`{argument}`: expected phi or d (both set the focal length), got both")
     if "pose" in freed and {"position", "orientation"} & set(freed):
         raise ValueError("`free`: expected pose, or position or orientation, got both")
     return tuple(name for name in PARAMETERS if name in freed)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._camera.camera import Camera
-from .._numerics.arrays import ArrayLike
+from .._numerics.arrays import ArrayLike, check_positive, is_number
 from .moves import Bounds
 from .parameters import LABELS, PARAMETERS, labels_of
 
@@ -79,9 +79,8 @@ def measured(prior: Any, known: list[str]) -> np.ndarray:
     """The means and standard deviations (2, k) of a prior on parameters that are `known`, or raise
     ValueError."""
     result = pairs("prior", prior, known, "(mean, standard deviation)")
-    for label, value in zip(prior, result[1], strict=True):
-        if not value > 0:
-            raise ValueError(f"`prior`: expected a positive deviation of {label!r}, got {value}")
+    for label, value in zip(prior, result[1].tolist(), strict=True):
+        check_positive("prior", value, f"a positive deviation of {label!r}")
     return result
 
 
@@ -96,6 +95,7 @@ def pairs(name: str, given: Any, known: list[str], words: str) -> np.ndarray:
             raise ValueError(
                 f"`{name}`: expected free parameters among {', '.join(known)}, got {label!r}"
             )
-        if np.shape(pair) != (2,) or not np.all(np.isfinite(np.asarray(pair, float))):
+        numbers = pair if isinstance(pair, tuple | list) or np.ndim(pair) else ()
+        if len(numbers) != 2 or not all(is_number(x) and np.isfinite(x) for x in numbers):
             raise ValueError(f"`{name}`: expected {words} of {label!r}, got {pair!r}")
     return np.array([*given.values()], float).reshape(-1, 2).T

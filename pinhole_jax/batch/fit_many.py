@@ -179,8 +179,8 @@ def _shard_records(items: Iterable[Record], shard: tuple[int, int]) -> Iterator[
     """Yield the records of a shard; raise ValueError for a missing id, or the same one again."""
     number, count = shard
     seen: set[str] = set()
-    for record in items:
-        check_id(record)
+    for k, record in enumerate(items):
+        check_id(record, f"items[{k}]")
         if record["id"] in seen:
             raise ValueError(f"`items`: expected ids that differ, got {record['id']!r} twice")
         seen.add(record["id"])

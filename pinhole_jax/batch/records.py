@@ -71,10 +71,10 @@ def check_record(record: Record) -> dict[str, Any]:
     return plain
 
 
-def check_id(record: Any) -> None:
+def check_id(record: Any, name: str = "record") -> None:
     """Raise ValueError unless this is a mapping with an `id`, which is what a row needs."""
     if not isinstance(record, Mapping):
-        raise ValueError(f"`item`: expected a mapping of fields, got {type(record).__name__}")
+        raise ValueError(f"`{name}`: expected a mapping of fields, got {type(record).__name__}")
     if not isinstance(record.get("id"), str) or not record["id"]:
         raise ValueError(f"`id`: expected a text, got {record.get('id')!r}")
 

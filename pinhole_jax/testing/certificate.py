@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._camera.camera import Camera
-from .._numerics.arrays import is_concrete
+from .._numerics.arrays import as_count, check_positive, is_concrete
 from .._scene.scene import Scene, check_view
 from .._silhouette.silhouette import silhouette
 from .differences import STEPS, Scales, Slopes, outside, slopes
@@ -230,10 +230,9 @@ def _check(camera: Camera, scene: Scene, tolerance: float | None, directions: in
     for name, value in (("camera", camera), ("scene", scene)):
         if not is_concrete(*jax.tree.leaves(value)):
             raise ValueError(f"`{name}`: expected values, got traced ones; call it outside of jit")
-    if tolerance is not None and not tolerance > 0:
-        raise ValueError(f"`tolerance`: expected a positive number, got {tolerance}")
-    if directions < 1:
-        raise ValueError(f"`directions`: expected at least 1, got {directions}")
+    if tolerance is not None:
+        check_positive("tolerance", tolerance)
+    as_count("directions", directions)
 
 
 def _line(row: Row) -> str:
