@@ -45,9 +45,8 @@ def is_real(array: Any) -> bool:
 
 def is_number(value: Any) -> bool:
     """Return True for one real number; True and False are none."""
-    if not isinstance(value, Real | np.ndarray | jax.Array) or np.ndim(value):
-        return False
-    return is_real(np.asarray(value))
+    kind = Real | np.ndarray | jax.Array
+    return isinstance(value, kind) and np.shape(value) == () and is_real(np.asarray(value))
 
 
 def check_positive(name: str, value: Any, expected: str = "a positive number") -> None:

@@ -283,9 +283,9 @@ def _checked(points3d: ArrayLike, points2d: ArrayLike, weights: ArrayLike | None
         raise ValueError("`points2d`: expected finite values, or NaN where not seen, got inf")
 
     def in_each(name: str, value: ArrayLike, *shape: int) -> np.ndarray:
-        whole, value = (V, *shape), array_of(name, value, f"a real array of shape {shape}")
-        known = whole if value.ndim == len(whole) else shape
-        array = np.asarray(checked(name, value, known, np.dtype(np.float64)), float)
+        whole, given = (V, *shape), array_of(name, value, f"a real array of shape {shape}")
+        known = whole if given.ndim == len(whole) else shape
+        array = np.asarray(checked(name, given, known, np.dtype(np.float64)), float)
         return np.broadcast_to(array, whole)
 
     points = in_each("points3d", points3d, N, 3)
