@@ -216,6 +216,21 @@ def test_distant_plane_is_ambiguous_by_reversed_depths(common, exhaustive):
             assert apart(fit.camera, true)[0] < 0.05
 
 
+def test_boards_that_are_not_quite_flat_are_ambiguous_by_reversed_depths():
+    """One as thick as a hundredth of its size, seen from far away; thick ones rule the twin out."""
+    random, truth = default_rng(7), NEAR[1]
+    for thick, status in ((0.003, "ambiguous"), (0.01, "ambiguous"), (1.0, "converged")):
+        points = 0.05 * SOLID * [1, 1, thick]
+        points2d = seen(truth, points) + random.normal(0, 0.05, (30, 2))
+        twin = pj.fit_points(points * [1, 1, 0], points2d, truth).modes
+        for start in (truth, *(fit.camera for fit in twin), turned(truth, 50)):
+            fit = pj.fit_points(points, points2d, start)
+            assert (fit.status, len(fit.modes)) == (status, int(thick < 1))
+            off = [apart(f.camera, truth)[0] for f in (fit, *fit.modes)]
+            assert min(off) < 0.15
+            assert fit.status == "converged" or max(off) > 0.5
+
+
 def by_opencv(points, points2d, true):
     """Return all exact rotations (3, 3) of three points by OpenCV, those before the camera."""
     K = pj.formats.to_opencv(true, pixel_centres="half")[0]

@@ -141,9 +141,9 @@ def fit_points(
     - `max_steps`: a limit for each descent. `progress`: as in `fit_camera`, a function is
       called with words after each.
 
-    Points of a plane are seen almost as well with their depths reversed, the farther away the
-    better, and three points have up to four exact poses: for each view of a plane, or of up to 8
-    points, the fit tests whether its points rule such cameras out (`PointFit.modes`).
+    Points of a plane, or nearly of one, are seen almost as well with their depths reversed, the
+    farther away the better. Three points have up to four exact poses. The fit tests whether each
+    view's points rule such cameras out, exact poses for up to 8 points (`PointFit.modes`).
 
     Returns a `PointFit` for points2d (N, 2), a tuple of them for (V, N, 2). Levenberg-Marquardt as
     in `fit_cameras`: a step's cost is linear in the views. Works in the float type of `camera`.

@@ -24,8 +24,8 @@ OFF = 0.1
 #: The ends of the side opposite to each point; its squared length and its angle's cosine have the
 #: point's number.
 NEXT, LAST = [1, 2, 0], [2, 0, 1]
-#: Points whose spread across a plane is below this share of that within are points of the plane.
-FLAT = 1e-3
+#: Points whose spread across a line is below this share of that along it are nearly of the line.
+SLIM = 1e-3
 
 Pose = tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]
 Points = Float[np.ndarray, "N 3"]
@@ -113,10 +113,11 @@ def shift(camera: Camera, points: Points, seen_at: SeenAt) -> Camera:
 
 
 def plane_of(points: Points) -> tuple[np.ndarray, np.ndarray] | None:
-    """The middle and the normal of the plane that points are of, None if of none."""
+    """The middle and the normal of the plane that is nearest to points, None if these are nearly
+    of a line."""
     middle = points.mean(axis=0)
     spread, axes = np.linalg.svd(points - middle)[1:]
-    return (middle, axes[-1]) if spread[2:].sum() <= FLAT * spread[0] < spread[1] else None
+    return (middle, axes[-1]) if spread[1] > SLIM * spread[0] else None
 
 
 def lines_of_sight(camera: Camera, seen_at: np.ndarray) -> np.ndarray:

@@ -71,8 +71,8 @@ def three_point_cameras(matches: Matches, camera: Camera) -> list[Camera]:
 
 
 def reversed_depths(matches: Matches, camera: Camera) -> Camera | None:
-    """The camera from where a plane's points look the same but for their perspective, their
-    depths reversed (Necker's cube); None where points are of no plane.
+    """The camera from where points of a plane look the same but for their perspective, their
+    depths reversed (Necker's cube), by the plane nearest to the points; None of nearly a line.
 
     Half a turn about the plane's normal, then half a turn about the line of sight, leave each point
     where it is seen from far away.
