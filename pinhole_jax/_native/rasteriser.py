@@ -17,7 +17,7 @@ from .._numerics.components import perpendicular
 from .._numerics.on_devices import spread
 from .._numerics.safe import length, safe_sqrt
 from .._scene.scene import Scene, Spheres
-from .linear import differentiable_once, linear
+from .linear import differentiable_once, linear, merged, moving_of
 
 #: Lens models as the library numbers them; 0 is none.
 MODELS = {BrownConrady: 1, Rational: 2, Fisheye: 3}
@@ -148,22 +148,24 @@ def _image(
 @partial(_image.defjvp, symbolic_zeros=True)
 def _image_jvp(of: tuple[int, tuple[int, int]], primals: Any, tangents: Any):
     """The coverage's change: the visible outline's length in each pixel times its velocity."""
-    (model, shape), (variables, constants) = of, differentiable_once(primals)
-    moving = [v for v in tangents[0] if not isinstance(v, SymbolicZero)]
-    given = spread(operands(variables, constants), moving)
-    velocities = [v if isinstance(v, SymbolicZero) else spread([v], given)[0] for v in tangents[0]]
+    (model, _), (variables, constants) = of, primals
+    moves = [not isinstance(v, SymbolicZero) for v in tangents[0]]
+    given = operands(*differentiable_once((variables, constants)))
     # (Variables that do not move are empty, and cost nothing.)
-    empty = spread([jnp.zeros((0,) * x.ndim, x.dtype) for x in variables], given)
-    pairs = zip(velocities, empty, strict=True)
-    like = [none if isinstance(v, SymbolicZero) else v for v, none in pairs]
-    shape = jax.ShapeDtypeStruct(shape, given[0].dtype)
+    empty = [jnp.zeros((0,) * x.ndim, x.dtype) for x in variables]
+    velocities = moving_of(tangents[0], moves)
+    given = spread(given, [*velocities, *empty])
+    empty, velocities = spread(empty, given), spread(velocities, given)
+    like = merged(moving_of(variables, moves), empty, moves)
     image, edges = _with_edges(*of, given)
+    shape = jax.ShapeDtypeStruct(image.shape, image.dtype)
 
     def push(velocities: list[Array]) -> Array:
-        return _call("image_push", model, [shape], *given, edges, *velocities)[0]
+        every = merged(velocities, empty, moves)
+        return _call("image_push", model, [shape], *given, edges, *every)[0]
 
     def pull(weights: Array) -> list[Array]:
         shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in like]
-        return _call("image_pull", model, shapes, *given, edges, weights)
+        return moving_of(_call("image_pull", model, shapes, *given, edges, weights), moves)
 
-    return image, linear(push, pull, velocities, empty, image)
+    return image, linear(push, pull, velocities, shape)

@@ -14,10 +14,6 @@ from jaxtyping import Array, Float
 
 from .._numerics.safe import dot, safe_divide
 
-#: Points of the unit circle (w) or of the film, one for each arc.
-Points = Float[Array, "*K 2"]
-#: The frames of arcs.
-Frames = Float[Array, "*K 3 3"]
 #: What stands for infinity on the film; far beyond any frame, and its square is still finite.
 FAR = 1e15
 
@@ -26,18 +22,20 @@ _NODES, _WEIGHTS = (x / 2 for x in np.polynomial.legendre.leggauss(8))
 _NODES = _NODES + 0.5
 
 
-def homogeneous(frame: Float[Array, "*#K 3 3"], w: Points) -> Float[Array, "*K 3"]:
+def homogeneous(frame: Float[Array, "*#K 3 3"], w: Float[Array, "*K 2"]) -> Float[Array, "*K 3"]:
     """Return the homogeneous film point of w."""
     return frame[..., 0, :] + frame[..., 1, :] * w[..., :1] + frame[..., 2, :] * w[..., 1:]
 
 
-def film_at(frame: Float[Array, "*#K 3 3"], w: Points) -> Points:
+def film_at(frame: Float[Array, "*#K 3 3"], w: Float[Array, "*K 2"]) -> Float[Array, "*K 2"]:
     """Return the film point of w (px)."""
     point = homogeneous(frame, w)
     return safe_divide(point[..., :2], point[..., 2:])
 
 
-def arc_end(frame: Frames, w: Points, inward: int) -> Points:
+def arc_end(
+    frame: Float[Array, "*K 3 3"], w: Float[Array, "*K 2"], inward: int
+) -> Float[Array, "*K 2"]:
     """Return the film point of an arc's end w, at infinity by its next points `inward`."""
     point = homogeneous(frame, w)
     xy, z, tiny = point[..., :2], point[..., 2:], 64 * jnp.finfo(frame.dtype).eps
@@ -52,8 +50,8 @@ def arc_end(frame: Frames, w: Points, inward: int) -> Points:
 
 
 def unit_at(
-    frame: Frames, axis: int, value: Float[Array, "*K"], growing: Float[Array, "*K"]
-) -> Points:
+    frame: Float[Array, "*K 3 3"], axis: int, value: Float[Array, "*K"], growing: Float[Array, "*K"]
+) -> Float[Array, "*K 2"]:
     """Return the w whose film point has coordinate number `axis` equal to `value`.
 
     Of the two `growing` (1 or -1) chooses the one where that coordinate grows or falls along the
@@ -63,7 +61,9 @@ def unit_at(
     return cut_circle(level, growing)
 
 
-def cut_circle(level: Float[Array, "*K 3"], growing: Float[Array, "*K"] | float) -> Points:
+def cut_circle(
+    level: Float[Array, "*K 3"], growing: Float[Array, "*K"] | float
+) -> Float[Array, "*K 2"]:
     """Return w on the unit circle with `level . (1, w_1, w_2) = 0`, growing there or falling."""
     b, x, y = -level[..., 0], level[..., 1], level[..., 2]
     length = jnp.sqrt(x * x + y * y)
@@ -88,7 +88,9 @@ class Nodes(NamedTuple):
     weight: Float[Array, "*K q"]
 
 
-def nodes(frame: Frames, w0: Points, w1: Points) -> Nodes:
+def nodes(
+    frame: Float[Array, "*K 3 3"], w0: Float[Array, "*K 2"], w1: Float[Array, "*K 2"]
+) -> Nodes:
     """Return the quadrature nodes from w0 to w1, whichever way is shorter."""
     turn = jnp.arctan2(w0[..., 0] * w1[..., 1] - w0[..., 1] * w1[..., 0], dot(w0, w1))
     spread = lambda x: jnp.asarray(x, turn.dtype).reshape((1,) * turn.ndim + (-1,))
@@ -107,7 +109,9 @@ def nodes(frame: Frames, w0: Points, w1: Points) -> Nodes:
     return Nodes(w, film, slope, z[..., 0], weight)
 
 
-def arc_flux(frame: Frames, w0: Points, w1: Points) -> Frames:
+def arc_flux(
+    frame: Float[Array, "*K 3 3"], w0: Float[Array, "*K 2"], w1: Float[Array, "*K 2"]
+) -> Float[Array, "*K 3 3"]:
     """Return the derivative, by the frame, of the area on the left of the arc from w0 to w1."""
     n = nodes(frame, w0, w1)
     nx, ny = n.slope[..., 1], -n.slope[..., 0]

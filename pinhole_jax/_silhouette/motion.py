@@ -4,19 +4,20 @@ The speed is across the outline, and linear between the ends of a straight curve
 found again for each derivative: no list of them is kept.
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jax.custom_derivatives import SymbolicZero
+from jaxtyping import Array, Float
 
 from .._camera.film import FilmMap
-from .._native.linear import differentiable_once, linear
+from .._native.linear import differentiable_once, linear, merged, moving_of
 from .._numerics.safe import safe_divide
 from .._scene.scene import Scene
-from .contour import Contour
+from .contour import Contour, Moving
 from .pixels import Pixels, pixels_of
 from .surrounding import surrounding
 from .sweeps import VisiblePieces, fold_swept
@@ -24,44 +25,58 @@ from .sweeps import VisiblePieces, fold_swept
 
 def coverage_in_arrays(film: FilmMap, scene: Scene) -> Float[Array, "H W"]:
     """Exact coverage of each pixel, row 0 on top."""
-    return _coverage((film.W, film.H), Contour.from_scene(film, scene), surrounding(film, scene))
+    moving = Moving.from_scene(film, scene)
+    held, film, scene = jax.lax.stop_gradient((moving, film, scene))
+    given = Contour.from_scene(held, film, scene), surrounding(film, scene)
+    return _coverage((film.W, film.H), moving, given)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _coverage(film: tuple[int, int], curves: Contour, base: Int[Array, ""]) -> Float[Array, "H W"]:
+def _coverage(
+    film: tuple[int, int], moving: Moving, given: tuple[Contour, Array]
+) -> Float[Array, "H W"]:
+    curves, base = given
     return _image(film, curves, pixels_of(curves, film, base))
 
 
 @partial(_coverage.defjvp, symbolic_zeros=True)
 def _coverage_jvp(film: tuple[int, int], primals: Any, tangents: Any):
-    """The image, and its change by the arrays that move."""
-    curves, base = differentiable_once(primals)
-    pixels, tree = pixels_of(curves, film, base), jax.tree.structure(curves)
-    image = _image(film, curves, pixels)
+    """The image, and its change by the arrays that move; others cost nothing."""
+    leaves, tree = jax.tree.flatten(primals[0])
     velocities = tree.flatten_up_to(tangents[0])
+    moves = [not isinstance(v, SymbolicZero) for v in velocities]
+    held, (curves, base) = differentiable_once((leaves, primals[1]))
+    pixels = pixels_of(curves, film, base)
+    image = _image(film, curves, pixels)
 
-    def push(velocities: list[Any]) -> Array:
-        velocity = tree.unflatten(velocities)
+    def change_by(view: Any, seen: VisiblePieces) -> Callable:
+        curves, _, held = view
+        return lambda x: _change(curves, tree.unflatten(merged(x, held, moves)), seen)
 
+    def push(view: Any, velocity: list[Array]) -> Array:
         def add(image, swept):
-            change = partial(_change, curves, swept.seen)
-            more = eqx.filter_jvp(change, (curves,), (velocity,))[1]
+            at = moving_of(view[2], moves)
+            more = jax.jvp(change_by(view, swept.seen), (at,), (velocity,))[1]
             return image.at[swept.seen.pixel].add(more, mode="drop")
 
         none = jnp.zeros(film[0] * film[1], image.dtype)
-        return _upright(fold_swept(curves, pixels, film, add, none, True), film)
+        return _upright(fold_swept(view[0], view[1], film, add, none, True), film)
 
-    def pull(weights: Array) -> list[Any]:
-        flat = jnp.append(weights[::-1].reshape(-1), 0)
+    def pull(view: Any, weights: Array) -> list[Array]:
+        flat, at = jnp.append(weights[::-1].reshape(-1), 0), moving_of(view[2], moves)
 
         def add(total, swept):
-            back = eqx.filter_vjp(partial(_change, curves, swept.seen), curves)[1]
+            back = jax.vjp(change_by(view, swept.seen), at)[1]
             return jax.tree.map(jnp.add, total, back(flat[swept.seen.pixel])[0])
 
-        none = jax.tree.map(jnp.zeros_like, eqx.filter(curves, eqx.is_inexact_array))
-        return tree.flatten_up_to(fold_swept(curves, pixels, film, add, none, True))
+        none = jax.tree.map(jnp.zeros_like, at)
+        return fold_swept(view[0], view[1], film, add, none, True)
 
-    return image, linear(push, pull, velocities, [None] * len(velocities), image)
+    known = curves, pixels, held
+    like = jax.ShapeDtypeStruct(image.shape, image.dtype)
+    return image, linear(
+        partial(push, known), partial(pull, known), moving_of(velocities, moves), like
+    )
 
 
 def _image(film: tuple[int, int], curves: Contour, pixels: Pixels) -> Float[Array, "H W"]:
@@ -75,16 +90,16 @@ def _upright(image: Float[Array, "N"], film: tuple[int, int]) -> Float[Array, "H
     return image.reshape(film[1], film[0])[::-1]
 
 
-def _change(curves: Contour, seen: VisiblePieces, moved: Contour) -> Float[Array, "N"]:
+def _change(curves: Contour, moving: Moving, seen: VisiblePieces) -> Float[Array, "N"]:
     """A number for each visible piece with the same derivative as the pixel's coverage."""
     _, ids, extent, moment, flux = seen
     m = curves.monotone(ids)
     along = [jnp.where(m.steep, end[:, 1], end[:, 0]) for end in (m.low, m.high)]
     tail, head = (jnp.where(m.rising > 0, *ends) for ends in (along, along[::-1]))
     far = safe_divide(moment - extent * tail, head - tail)
-    speeds = curves.speeds(moved, ids)
+    speeds = curves.speeds(moving, ids)
     change = (extent - far) * speeds[:, 0] + far * speeds[:, 1]
-    if m.arcs is None or moved.frames is None or flux is None:
+    if m.arcs is None or moving.frames is None or flux is None:
         return change
-    turned = jnp.sum(flux * moved.frames[curves.sphere(ids)], axis=(1, 2))
+    turned = jnp.sum(flux * moving.frames[curves.sphere(ids)], axis=(1, 2))
     return jnp.where(m.arcs.there, turned, change)

@@ -11,13 +11,6 @@ from jaxtyping import Array, Bool, Float, Int
 from .._numerics.safe import safe_divide
 from .conics import film_at, unit_at
 
-#: Numbers of pieces: of their curves, rows or columns.
-Numbers = Int[Array, "P"]
-#: A number of each curve.
-PerCurve = Float[Array, "K"]
-#: A point of each piece.
-Points = Float[Array, "P 2"]
-
 
 class Arcs(NamedTuple):
     """The conics of curves that are arcs, and True for these."""
@@ -35,8 +28,8 @@ class Monotone(NamedTuple):
 
     low: Float[Array, "K 2"]
     high: Float[Array, "K 2"]
-    rising: PerCurve
-    jump: PerCurve
+    rising: Float[Array, "K"]
+    jump: Float[Array, "K"]
     arcs: Arcs | None
 
     @classmethod
@@ -48,7 +41,7 @@ class Monotone(NamedTuple):
         return cls(low, high, rising, -rising * weight, arcs)
 
     @property
-    def rightward(self) -> PerCurve:
+    def rightward(self) -> Float[Array, "K"]:
         """1 where the upper end is the right one, else -1."""
         return jnp.where(self.high[:, 0] >= self.low[:, 0], 1, -1).astype(self.low.dtype)
 
@@ -58,13 +51,15 @@ class Monotone(NamedTuple):
         width, height = (self.high - self.low).T
         return height > jnp.abs(width)
 
-    def x_at(self, y: PerCurve) -> PerCurve:
+    def x_at(self, y: Float[Array, "K"]) -> Float[Array, "K"]:
         """The abscissa at a height, or at the nearer end."""
         (x0, y0), (x1, y1) = self.low.T, self.high.T
         x = self.other_at(1, y, self.low, self.high)
         return jnp.where(y <= y0, x0, jnp.where(y >= y1, x1, x))
 
-    def other_at(self, axis: int, value: PerCurve, low: Array, high: Array) -> PerCurve:
+    def other_at(
+        self, axis: int, value: Float[Array, "K"], low: Array, high: Array
+    ) -> Float[Array, "K"]:
         """The other coordinate where the one of an axis has a value, from `low` to `high`."""
         (a0, b0), (a1, b1) = ((p[:, axis], p[:, 1 - axis]) for p in (low, high))
         other = b0 + _share(b1 - b0, (value - a0) * safe_divide(b1 - b0, a1 - a0))
@@ -91,17 +86,17 @@ class PieceKeys(NamedTuple):
     Columns -1 and W hold the pieces left and right of the film.
     """
 
-    part: Numbers
-    row: Numbers
-    column: Numbers
+    part: Int[Array, "P"]
+    row: Int[Array, "P"]
+    column: Int[Array, "P"]
 
-    def pixel(self, film: tuple[int, int]) -> Numbers:
+    def pixel(self, film: tuple[int, int]) -> Int[Array, "P"]:
         """The pixels' numbers, row by row from the bottom; W H outside of the film."""
         W, H = film
         inside = (self.column >= 0) & (self.column < W)
         return jnp.where(inside, self.row * W + self.column, W * H)
 
-    def corner(self, real: jnp.dtype) -> Points:
+    def corner(self, real: jnp.dtype) -> Float[Array, "P 2"]:
         """The pixels' lower left corners."""
         return jnp.stack([self.column, self.row], axis=-1).astype(real)
 
@@ -116,8 +111,8 @@ class Pieces(NamedTuple):
     - `on_bottom`: it lies on the row's bottom.
     """
 
-    low: Points
-    high: Points
+    low: Float[Array, "P 2"]
+    high: Float[Array, "P 2"]
     left: Float[Array, "P"]
     left_at_end: Bool[Array, "P"]
     bottom: Bool[Array, "P"]
@@ -127,13 +122,13 @@ class Pieces(NamedTuple):
 class InRow(NamedTuple):
     """Curves' points of entry into a row and exit, and their columns."""
 
-    low: Points
-    high: Points
-    first: Numbers
-    last: Numbers
+    low: Float[Array, "P 2"]
+    high: Float[Array, "P 2"]
+    first: Int[Array, "P"]
+    last: Int[Array, "P"]
 
 
-def in_row(m: Monotone, row: Numbers, W: int) -> InRow:
+def in_row(m: Monotone, row: Int[Array, "P"], W: int) -> InRow:
     """The parts of curves in rows of a film of W columns."""
     low, high = (_at_height(m, (row + k).astype(m.low.dtype)) for k in (0, 1))
     most = jnp.asarray(W, m.low.dtype)
@@ -141,7 +136,7 @@ def in_row(m: Monotone, row: Numbers, W: int) -> InRow:
     return InRow(low, high, *columns)
 
 
-def _at_height(m: Monotone, y: Float[Array, "P"]) -> Points:
+def _at_height(m: Monotone, y: Float[Array, "P"]) -> Float[Array, "P 2"]:
     """The points of curves at a height, or their nearer ends."""
     return jnp.stack([m.x_at(y), jnp.clip(y, m.low[:, 1], m.high[:, 1])], axis=-1)
 

@@ -1,19 +1,16 @@
 """A film's pixels: all pieces of curves in them, and the layers at their corners."""
 
 from collections.abc import Callable
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from .._numerics.batches import Total, fold_groups
 from .contour import Contour
 from .pieces import Monotone, PieceKeys, in_row, pieces_at, rows_met
 
-#: What a loop adds up.
-Total = TypeVar("Total")
-#: Items in a chunk.
-AT_A_TIME = 4096
 #: The curves, places and presence of some pieces, to be added to a total.
 Add = Callable[[Total, Monotone, PieceKeys, Bool[Array, "P"]], Total]
 
@@ -55,28 +52,6 @@ def fold_film(curves: Contour, film: tuple[int, int], add: Add[Total], start: To
         return fold_groups(end - first, of_rows, total)
 
     return fold_groups(curves.upto[-1:], of_curves, start)
-
-
-def fold_groups(
-    sizes: Int[Array, "G"],
-    add: Callable[[Total, Int[Array, "K"], Int[Array, "K"], Bool[Array, "K"]], Total],
-    start: Total,
-) -> Total:
-    """`start` after `add(total, group, rank, there)` for all items of groups of these sizes.
-
-    Chunk by chunk: the items' groups, their numbers there, and False past the last item.
-    """
-    upto = jnp.cumsum(sizes)
-
-    def chunk(state: tuple[Array, Total]) -> tuple[Array, Total]:
-        first, total = state
-        item = first + jnp.arange(AT_A_TIME, dtype=jnp.int32)
-        group = jnp.searchsorted(upto, item, side="right").astype(jnp.int32)
-        group = jnp.minimum(group, len(sizes) - 1)
-        rank = item - (upto - sizes)[group]
-        return first + AT_A_TIME, add(total, group, rank, item < upto[-1])
-
-    return jax.lax.while_loop(lambda s: s[0] < upto[-1], chunk, (jnp.int32(0), start))[1]
 
 
 def pixels_of(curves: Contour, film: tuple[int, int], base: Int[Array, ""]) -> Pixels:

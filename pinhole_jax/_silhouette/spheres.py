@@ -7,11 +7,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .._numerics.safe import norm, safe_divide
-from .clip import within
-from .conics import Frames, Points, arc_end, cut_circle, film_at, homogeneous, unit_at
+from .conics import arc_end, cut_circle, film_at, homogeneous, unit_at
 
 #: A conic has at most 4 points where it turns back in x or y, and 2 where it leaves for infinity.
 ARCS_PER_SPHERE = 6
+
+#: Points of the unit circle.
+Points = Float[Array, "A 2"]
 
 
 def shown_arcs(
@@ -58,44 +60,46 @@ def _turning_points(frames: Float[Array, "S 3 3"]) -> Float[Array, "S 6 2"]:
 
 
 class Arc(NamedTuple):
-    """Arcs between two points of the unit circle, and the stretches of them within the film's
-    bounds: from `begin` to `finish` (rad from the start; inf: to the end)."""
+    """An arc's entry into the film's bounds and its exit, on the unit circle, `turn` rad apart."""
 
     start: Points
     end: Points
-    begin: Float[Array, "A"]
-    finish: Float[Array, "A"]
+    turn: Float[Array, "A"]
 
     def turned(self, share: Float[Array, "A"]) -> Points:
-        """Points of the unit circle at a share of the stretches."""
-        finish = jnp.minimum(self.finish, _turn(self.start, self.end))
-        angle, (x, y) = self.begin + share * (finish - self.begin), self.start.T
+        """Points of the unit circle at a share of it."""
+        angle, (x, y) = share * self.turn, self.start.T
         c, s = jnp.cos(angle), jnp.sin(angle)
         w = jnp.stack([x * c - y * s, y * c + x * s], axis=-1)
-        is_end = (share >= 1) & (self.finish == jnp.inf)
-        return jnp.where(is_end[:, None], self.end, w)
+        return jnp.where((share >= 1)[:, None], self.end, w)
 
 
 def arc_within(
-    bounds: Float[Array, "4"], frame: Frames, start: Points, end: Points
-) -> tuple[Arc, Float[Array, "A 2"], Bool[Array, "A"]]:
+    bounds: Float[Array, "4"], frame: Float[Array, "A 3 3"], start: Points, end: Points
+) -> tuple[Arc, list[Array], Bool[Array, "A"]]:
     """The parts of arcs within bounds (left, right, low, high).
 
     Also the heights between which they are left of the bounds, and True if they are.
     """
-    ends = jnp.stack([arc_end(frame, start, 1), arc_end(frame, end, -1)])
-    grows = jnp.where(ends[1] >= ends[0], 1, -1).astype(frame.dtype)
-    whole, past, cuts = _turn(start, end), [], []
+    first, last, whole = arc_end(frame, start, 1), arc_end(frame, end, -1), _turn(start, end)
+    begin, finish, enters, leaves = jnp.zeros_like(whole), whole, start, end
+    heights, beside = [first[:, 1], last[:, 1]], jnp.zeros_like(whole, bool)
     for k in range(4):
-        axis, value = k // 2, jnp.broadcast_to(bounds[k], whole.shape)
-        past.append((-1, 1)[k % 2] * (ends[..., axis] - value[None]).T)
-        cuts.append(unit_at(frame, axis, value, grows[:, axis]))
-    is_out = jnp.stack(past) > 0
-    turns = jnp.stack([jnp.clip(_turn(start, w), 0, whole) for w in cuts])
-    begin, finish, there = within(is_out, turns, np.inf)
-    arc = Arc(start, end, begin, jnp.where(there, finish, begin))
-    heights = jnp.where(is_out[0], ends[..., 1].T, film_at(frame, cuts[0])[:, 1:])
-    return arc, jnp.clip(heights, *bounds[2:]), jnp.any(is_out[0], axis=1)
+        axis, side, value = k // 2, (-1, 1)[k % 2], bounds[k]
+        grows = jnp.where(last[:, axis] >= first[:, axis], 1, -1).astype(whole.dtype)
+        w = unit_at(frame, axis, jnp.broadcast_to(value, whole.shape), grows)
+        out_first, out_last = (side * (p[:, axis] - value) > 0 for p in (first, last))
+        cut = jnp.clip(_turn(start, w), 0, whole)
+        if k == 0:
+            crossing, beside = film_at(frame, w)[:, 1], out_first | out_last
+            outs = zip((out_first, out_last), heights, strict=True)
+            heights = [jnp.where(out, y, crossing) for out, y in outs]
+        entry = jnp.where(out_last, jnp.inf, cut)
+        later, sooner = out_first & (entry > begin), out_last & (cut < finish)
+        begin, enters = jnp.where(later, entry, begin), jnp.where(later[:, None], w, enters)
+        finish, leaves = jnp.where(sooner, cut, finish), jnp.where(sooner[:, None], w, leaves)
+    turn = jnp.where(begin < finish, finish - begin, 0)
+    return Arc(enters, leaves, turn), [jnp.clip(y, *bounds[2:]) for y in heights], beside
 
 
 def _turn(a: Points, b: Points) -> Float[Array, "A"]:

@@ -16,10 +16,6 @@ from .._numerics.safe import safe_divide
 from .conics import arc_flux, cut_circle, film_at, nodes, unit_at
 from .pieces import Arcs
 
-#: Numbers, one for each line of a sweep.
-PerLine = Float[Array, "N"]
-#: Numbers, one for each pixel that is swept.
-PerPixel = Float[Array, "P"]
 #: Neighbours cross if they change places by more than this many epsilons (px).
 APART = 16
 
@@ -33,16 +29,16 @@ class Lines(NamedTuple):
     """
 
     pixel: Int[Array, "N"]
-    u0: PerLine
-    v0: PerLine
-    u1: PerLine
-    v1: PerLine
-    jump: PerLine
+    u0: Float[Array, "N"]
+    v0: Float[Array, "N"]
+    u1: Float[Array, "N"]
+    v1: Float[Array, "N"]
+    jump: Float[Array, "N"]
     halts: tuple[tuple[Array, Array], ...]
-    grows: PerLine
+    grows: Float[Array, "N"]
     arcs: Arcs | None
 
-    def height(self, u: PerLine) -> PerLine:
+    def height(self, u: Float[Array, "N"]) -> Float[Array, "N"]:
         """The pieces' v at an abscissa, or at the nearer end."""
         t = jnp.clip(safe_divide(u - self.u0, self.u1 - self.u0), 0, 1)
         v = self.v0 + t * (self.v1 - self.v0)
@@ -53,15 +49,15 @@ class Lines(NamedTuple):
         low, high = jnp.minimum(self.v0, self.v1), jnp.maximum(self.v0, self.v1)
         return jnp.where(there, jnp.clip(bent, low, high), v)
 
-    def at_pixel(self, values: PerPixel) -> PerLine:
+    def at_pixel(self, values: Float[Array, "P"]) -> Float[Array, "N"]:
         """Each line's of the pixels' values."""
         return values.at[self.pixel].get(mode="clip")
 
-    def summed(self, values: PerLine, like: PerPixel) -> PerPixel:
+    def summed(self, values: Float[Array, "N"], like: Float[Array, "P"]) -> Float[Array, "P"]:
         """Each pixel's sum of the lines' values."""
         return jnp.zeros_like(like).at[self.pixel].add(values, mode="drop")
 
-    def next_end(self, u: PerPixel) -> PerPixel:
+    def next_end(self, u: Float[Array, "P"]) -> Float[Array, "P"]:
         """The first beginning or end of a line beyond u in each pixel; at most 1."""
         own, upto = self.at_pixel(u), jnp.ones_like(u)
         for end in (self.u0, self.u1):
@@ -75,9 +71,9 @@ class Sweep(NamedTuple):
     Its signed `extent`, its first `moment`, and the area's derivative by an arc's conic (px^2).
     """
 
-    area: PerPixel
-    extent: PerLine
-    moment: PerLine
+    area: Float[Array, "P"]
+    extent: Float[Array, "N"]
+    moment: Float[Array, "N"]
     flux: Float[Array, "N 3 3"] | None
 
 
@@ -88,16 +84,16 @@ class _Strip(NamedTuple):
     here). What is `hidden` is covered whatever its lines do.
     """
 
-    begin: PerPixel
-    end: PerPixel
-    first: PerPixel
+    begin: Float[Array, "P"]
+    end: Float[Array, "P"]
+    first: Float[Array, "P"]
     hidden: Bool[Array, "P"]
-    jump: PerLine
+    jump: Float[Array, "N"]
     order: Int[Array, "N"]
     pixel: Int[Array, "N"]
 
 
-def sweep(lines: Lines, corner: PerPixel, conics: Float[Array, "N 3 3"] | None) -> Sweep:
+def sweep(lines: Lines, corner: Float[Array, "P"], conics: Float[Array, "N 3 3"] | None) -> Sweep:
     """The sweep of pixels with `corner` layers at their lower left corners.
 
     `conics` are those of arcs on the film, None if derivatives by them are not wanted.
@@ -132,7 +128,7 @@ def _strip(lines: Lines, corner: Array, begin: Array, end: Array) -> _Strip:
     return _Strip(begin, end, first, hidden, jump, order, pixel)
 
 
-def _first_crossing(lines: Lines, strip: _Strip) -> PerPixel:
+def _first_crossing(lines: Lines, strip: _Strip) -> Float[Array, "P"]:
     """Where the first two neighbours found to cross in each strip do; no less than its end if none.
 
     Neighbours in the middle of a strip are the first to cross on either side of it.

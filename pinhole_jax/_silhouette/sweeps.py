@@ -10,10 +10,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from .._numerics.batches import Total
 from .contour import Contour
 from .pieces import Arcs, Monotone, PieceKeys, Pieces, pieces_at
-from .pixels import Pixels, Total, fold_film
-from .sweep import Lines, PerLine, PerPixel, sweep
+from .pixels import Pixels, fold_film
+from .sweep import Lines, sweep
 
 #: Pieces side by side; where a pixel has more, for each possible curve one, but no more than these.
 ROOM, MOST = 1 << 12, 1 << 20
@@ -29,8 +30,8 @@ class VisiblePieces(NamedTuple):
 
     pixel: Int[Array, "N"]
     part: Int[Array, "N"]
-    extent: PerLine
-    moment: PerLine
+    extent: Float[Array, "N"]
+    moment: Float[Array, "N"]
     flux: Float[Array, "N 3 3"] | None
 
 
@@ -38,7 +39,7 @@ class PixelCoverage(NamedTuple):
     """Pixels (past the last: none), their coverage, and the visible pieces in them, if wanted."""
 
     pixel: Int[Array, "P"]
-    area: PerPixel
+    area: Float[Array, "P"]
     seen: VisiblePieces | None
 
 
@@ -107,7 +108,7 @@ def _swept(
     owner: Int[Array, "N"],
     places: PieceKeys,
     pixel: Int[Array, "P"],
-    corner: PerPixel,
+    corner: Float[Array, "P"],
     seen: bool,
 ) -> PixelCoverage:
     """Pixels, from pieces that each have an `owner` among them."""

@@ -16,8 +16,6 @@ from .._native.rasteriser import sphere_frames
 from .._numerics.safe import norm
 from .._scene.scene import Scene, astype, check_view
 from .._trace.trace import occluded
-from .clip import crossings, within
-from .conics import homogeneous
 from .contour import contour_weights
 
 #: Segments of an outline are at most this long (px), of this many steps that a ray decides on.
@@ -91,38 +89,42 @@ def _contour(camera: Camera, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     Those in and near the film; and the map (3, 3) of such points to offsets from the eye.
     """
     check_view(camera, scene)
-    found = _lines(camera, astype(scene, camera.e.dtype))
-    matrix, lines, begin, end, there = map(np.asarray, found)
-    start, way = (x[there].astype(float) for x in (lines[:, 0], lines[:, 1] - lines[:, 0]))
-    ends = [start + t[there, None] * way for t in (begin, end)]
-    return np.stack(ends, axis=1), np.linalg.inv(matrix.astype(float))
+    curves = _curves(camera, astype(scene, camera.e.dtype))
+    matrix, bounds, edges, frames = (np.asarray(x, float) for x in curves)
+    angle = np.linspace(0, 2 * np.pi, int(LINES * max(camera.W, camera.H) ** 0.5) + 1)
+    ring = np.stack([np.ones(len(angle)), np.cos(angle), np.sin(angle)], axis=1) @ frames
+    sides = np.stack([ring[:, :-1], ring[:, 1:]], axis=2).reshape(-1, 2, 3)
+    lines = np.concatenate([edges, sides])
+    return _cut_off(lines[np.any(lines, axis=(1, 2))], bounds), np.linalg.inv(matrix)
 
 
 @eqx.filter_jit
-def _lines(camera: Camera, scene: Scene) -> tuple[Array, ...]:
-    """The film's matrix; edges and chords of spheres' outlines as homogeneous film points
-    (n, 2, 3); the shares between which they are in and near the film, and True if they are there,
-    and on the contour."""
+def _curves(camera: Camera, scene: Scene) -> tuple[Array, Array, Array, Array]:
+    """The film's matrix and bounds, edges (E, 2, 3) as homogeneous film points, and conics
+    (S, 3, 3) of spheres; 0 off the contour."""
     film, mesh, spheres = film_map(camera), scene.mesh, scene.spheres
-    kinds = [(jnp.zeros((0, 2, 3), film.base.dtype), jnp.zeros(0, bool))]
-    if mesh is not None:
+    edges, frames = jnp.zeros((0, 2, 3)), jnp.zeros((0, 3, 3))
+    if mesh is not None and mesh.edge_faces.shape[0]:
         on = contour_weights(mesh, camera.e) != 0
-        kinds.append((film(mesh.vertices)[mesh.edge_vertices], on))
+        edges = jnp.where(on[:, None, None], film(mesh.vertices)[mesh.edge_vertices], 0)
     if spheres is not None:
         outside = norm(spheres.centers - camera.e[None]) > spheres.radii
-        number = int(LINES * max(camera.W, camera.H) ** 0.5)
-        angle = jnp.linspace(0, 2 * np.pi, number + 1, dtype=film.base.dtype)
-        w = jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=1)
-        ring = homogeneous(sphere_frames(film, spheres).reshape(-1, 1, 3, 3), w[None])
-        chords = jnp.stack([ring[:, :-1], ring[:, 1:]], axis=2)
-        kinds.append((chords.reshape(-1, 2, 3), jnp.repeat(outside, number)))
-    lines, on = (jnp.concatenate(x) for x in zip(*kinds, strict=True))
-    xy, z = jnp.moveaxis(lines[..., :2], -1, 0), lines[None, ..., 2]
-    low, high = film.bounds[::2], film.bounds[1::2]
-    below, above = (bound[:, None, None] * z - xy for bound in (low, high))
-    past = jnp.concatenate([below, -above])
-    begin, end, there = within(past > 0, crossings(past))
-    return film.matrix, lines, begin, end, on & there & (begin < end)
+        frames = sphere_frames(film, spheres).reshape(-1, 3, 3)
+        frames = jnp.where(outside[:, None, None], frames, 0)
+    return film.matrix, film.bounds, edges, frames
+
+
+def _cut_off(lines: np.ndarray, bounds: np.ndarray) -> np.ndarray:
+    """Return the parts of lines within bounds (left, right, low, high), in front of the eye."""
+    xy, z = lines[..., :2], lines[..., 2:]
+    inside = np.concatenate([xy - bounds[::2] * z, bounds[1::2] * z - xy], axis=-1)
+    first, last = inside[:, 0], inside[:, 1]
+    cut = first / np.where(first == last, 1, first - last)
+    begin = np.max(np.where(first < 0, cut, 0), axis=1)
+    end = np.min(np.where(last < 0, cut, 1), axis=1)
+    some = (begin < end) & ~np.any((first < 0) & (last < 0), axis=1)
+    start, way = lines[some, 0], lines[some, 1] - lines[some, 0]
+    return np.stack([start + t[some, None] * way for t in (begin, end)], axis=1)
 
 
 def _parts(ends: Float[np.ndarray, "n 2 2"], step: float) -> tuple[np.ndarray, np.ndarray]:
