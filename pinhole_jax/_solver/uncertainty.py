@@ -115,4 +115,4 @@ def in_words(vector: np.ndarray) -> str:
     """Return the direction of an axis, its largest component positive."""
     unit = vector / max(float(np.linalg.norm(vector)), 1e-300)
     unit = unit * np.sign(unit[np.argmax(np.abs(unit))] or 1)
-    return "(" + ", ".join(f"{x:.2f}" for x in unit + 0.0) + ")"
+    return "(" + ", ".join(f"{x:.2f}" for x in np.round(unit, 2) + 0.0) + ")"
