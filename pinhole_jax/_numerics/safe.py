@@ -31,14 +31,24 @@ def dot(a: Float[Array, "*#batch n"], b: Float[Array, "*#batch n"]) -> Float[Arr
     return jnp.sum(a * b, axis=-1)
 
 
+def times(a: Float[Array, "*rows n"], b: Float[Array, "n *columns"]) -> Float[Array, "..."]:
+    """Return the product of small matrices, written out: no library is called for it."""
+    left = a.reshape(*a.shape, *(1,) * (b.ndim - 1))
+    right = b.reshape(*(1,) * (a.ndim - 1), *b.shape)
+    return jnp.sum(left * right, axis=a.ndim - 1)
+
+
 def norm(vector: Float[Array, "*batch n"]) -> Float[Array, "*batch"]:
     """Return the Euclidean length; scaled by the largest entry, so nothing over- or underflows."""
-    return length(*(vector[..., k] for k in range(vector.shape[-1])))
+    scale = jax.lax.stop_gradient(jnp.max(jnp.abs(vector), axis=-1, keepdims=True))
+    unit = safe_divide(vector, scale)
+    return scale[..., 0] * safe_sqrt(dot(unit, unit))
 
 
 def length(*components: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     """Return the Euclidean length of a vector's components, as `norm` does."""
-    scale = jax.lax.stop_gradient(functools.reduce(jnp.maximum, map(jnp.abs, components)))
+    size = functools.reduce(jnp.maximum, map(jnp.abs, components))
+    scale = jax.lax.stop_gradient(size)
     units = [safe_divide(x, scale) for x in components]
     return scale * safe_sqrt(functools.reduce(jnp.add, [x * x for x in units]))
 

@@ -10,11 +10,10 @@ from jaxtyping import Array, Float
 
 from .._camera.axes import axes_of
 from .._camera.camera import Camera, camera_basis, focal_px, principal_point
-from .._camera.film import turned
 from .._camera.lens import Lens
 from .._camera.poses import at_pose, exponential, pose_of, rigid
 from .._numerics.arrays import as_numpy
-from .._numerics.safe import norm, safe_divide, safe_sqrt
+from .._numerics.safe import norm, safe_divide, safe_sqrt, times
 from .parameters import (
     AXES,
     COMPONENTS,
@@ -115,21 +114,21 @@ def _moved_rigidly(camera: Camera, pivot: Float[Array, "3"], step: dict[str, Arr
     """Return the camera turned about its eye, shifted, brought nearer, turned about the pivot."""
     axes = jnp.stack(camera_basis(camera))
     zero = jnp.zeros_like(pivot[0])
-    of = lambda kind: jnp.stack([step.get(f"{kind}_{b}", zero) for b in AXES])
+    of = lambda kind, names: jnp.stack([step.get(f"{kind}_{b}", zero) for b in names])
     view, up = camera.p - camera.e, camera.u
     if "spin_v" in step:
-        about_eye = rotation(turned(axes.T, of("spin")))
-        view, up = turned(about_eye, view), turned(about_eye, up)
+        about_eye = rotation(times(of("spin", AXES), axes))
+        view, up = times(about_eye, view), times(about_eye, up)
 
     offset = camera.e - pivot
     if "log_distance" in step:
         # The pivot as the camera sees it slides sideways and comes nearer; the eye goes the other
         # way.
-        aside = norm(offset) * turned(axes.T, of("shift"))
+        aside = norm(offset) * times(of("shift", AXES[:2]), axes[:2])
         offset = (offset + aside) * jnp.exp(step["log_distance"])
     if "turn_v" in step:
-        about_pivot = rotation(turned(axes.T, of("turn")))
-        view, up, offset = (turned(about_pivot, x) for x in (view, up, offset))
+        about_pivot = rotation(times(of("turn", AXES), axes))
+        view, up, offset = (times(about_pivot, x) for x in (view, up, offset))
     e = pivot + offset if "log_distance" in step else camera.e
     return eqx.tree_at(lambda c: (c.e, c.p, c.u), camera, (e, e + view, up))
 
@@ -145,7 +144,7 @@ def reported(camera: Camera, moved: Camera, free: tuple[str, ...]) -> Float[Arra
     if "rotation_v" in labels:
         before, after = jnp.stack(camera_basis(camera)), jnp.stack(camera_basis(moved))
         cross = jnp.sum(jnp.cross(before, after), axis=0) / 2  # rotation vector, to first order
-        small = dict(zip((f"rotation_{b}" for b in AXES), turned(before, cross), strict=True))
+        small = dict(zip((f"rotation_{b}" for b in AXES), times(before, cross), strict=True))
 
     def value(label: str) -> Any:
         of = LABELS[label].value
@@ -187,7 +186,7 @@ def rotation(vector: Float[Array, "3"]) -> Float[Array, "3 3"]:
     skew = jnp.stack([jnp.stack([zero, -z, y]), jnp.stack([z, zero, -x]), jnp.stack([-y, x, zero])])
     # sin(a)/a and (1 - cos(a))/a^2
     a, b = jnp.sinc(angle / jnp.pi), jnp.sinc(angle / (2 * jnp.pi)) ** 2 / 2
-    return jnp.eye(3, dtype=vector.dtype) + a * skew + b * turned(skew, skew.T)
+    return jnp.eye(3, dtype=vector.dtype) + a * skew + b * times(skew, skew)
 
 
 def canonical(camera: Camera) -> Camera:
