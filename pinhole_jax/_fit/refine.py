@@ -127,23 +127,21 @@ class Refiner:
             if likelier is None:
                 return None
             found, said = likelier
-        near, covariance = self._near(1.0, said), None
+        near, before = self._near(1.0, said), found
         ended = said if found.ended and not self.plainly else None
-        if ended is not None:
-            found = found._replace(view=near.look(found.camera, near.finest))
-        if ended is not None and ended.is_drawn:
-            covariance = ended.errors.spread
-        else:
-            before, (found, said) = found, self._least_squares(near, found)
+        drawn, believed_first = ended is not None and ended.is_drawn, near
+        if not drawn:
+            found, said = self._least_squares(near, found)
             for camera in [begin] if start is None else [begin, start]:
                 if not near.look(camera, near.finest).squares >= found.view.squares:
                     found, said = self._least_squares(near, found._replace(camera=camera))
-            believes = near.weights
             near = self._near(1.0, said)
-            if not all(map(np.array_equal, near.weights, believes)):
+            if not all(map(np.array_equal, near.weights, believed_first.weights)):
                 found, said = self._least_squares(near, found)  # (Other pixels are believed.)
-            if ended is not None and (said is None or said.log < ended.log - RULES.as_likely):
-                found, said, near = before, ended, self._near(1.0, ended)
+        if ended is not None and (said is None or said.log < ended.log - RULES.as_likely or drawn):
+            near, said = believed_first, ended
+            found = before._replace(view=near.look(before.camera, near.finest))
+        covariance = said.errors.spread if drawn and said is not None else None
         some = said is not None and bool(np.any(said.gross))
         wide = self._near(RULES.times, said) if some else self.solver
         errors = mask_errors(wide, found.view, not some)

@@ -104,8 +104,8 @@ def kind_of(target: np.ndarray, weights: np.ndarray, dtype: Any) -> Kind:
     few = step >= 1 / SAMPLES
     # A renderer's 8 bits: some hundred samples a pixel, or its filter. Few samples may be a larger
     # mask's pixels, which anybody may have drawn: they leave as little as one bit does.
-    most = RULES.times * (SAMPLED / 1024 * scale if step == 1 / 255 else variance)
-    most = RULES.hard / UNIFORM * variance if few else most
+    times = RULES.hard / UNIFORM if few else RULES.times
+    most = times * (SAMPLED / 1024 * scale if step == 1 / 255 else variance)
     return Kind("soft", variance, most, least, not few, alike=max(least, scale * resolved**2))
 
 

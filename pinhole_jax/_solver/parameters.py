@@ -215,7 +215,7 @@ def check_free(
     if {"phi", "d"} <= set(freed):
         raise ValueError(f"`{argument}`: expected phi or d (both set the focal length), got both")
     if "pose" in freed and {"position", "orientation"} & set(freed):
-        raise ValueError("`free`: expected pose, or position or orientation, got both")
+        raise ValueError(f"`{argument}`: expected pose, or position or orientation, got both")
     return tuple(name for name in PARAMETERS if name in freed)
 
 
