@@ -1,5 +1,6 @@
-"""Files of a test's own."""
+"""Files of a test's own, and what meshes hold."""
 
+import numpy as np
 import trimesh
 
 
@@ -9,6 +10,11 @@ def put(folder, name, content):
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     return path
+
+
+def triangles_of(mesh):
+    """Return the corners (F, 3, 3) of a mesh's triangles."""
+    return np.asarray(mesh.vertices)[np.asarray(mesh.faces)]
 
 
 def in_trimesh(mesh):

@@ -14,8 +14,11 @@ def refusal(words):
 
 
 def pairs(names, cases):
-    """Run a test for each key of a dict, with its value; the two have these names."""
-    return pytest.mark.parametrize(names, cases.items())
+    """Run a test for each key of a dict, with its value, or the parts of a tuple: so they are
+    named, and the key is the case's name."""
+    parts = lambda value: value if isinstance(value, tuple) else (value,)
+    rows = [(key, *parts(value)) for key, value in cases.items()]
+    return pytest.mark.parametrize(names, rows, ids=[*cases])
 
 
 def refuses(function, good, cases):

@@ -65,9 +65,9 @@ FITS = {
 FITS["float32"] = as_float32(FITS["all"])
 
 
-@pytest.mark.parametrize("name", FITS)
-def test_fit_comes_back_to_the_last_bit(name, tmp_path):
-    fit, path = FITS[name], tmp_path / "deep" / "fit.json"
+@pytest.mark.parametrize("fit", FITS.values(), ids=FITS)
+def test_fit_comes_back_to_the_last_bit(fit, tmp_path):
+    path = tmp_path / "deep" / "fit.json"
     io.save_fit(path, fit)
     assert_equal(io.load_fit(path), fit)
     assert_equal(io.fit_from_dict(io.fit_to_dict(fit)), fit)
@@ -114,12 +114,12 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("change", WRONG)
-def test_wrong_field_is_named(tmp_path, change):
+@pairs("change, words", WRONG)
+def test_wrong_field_is_named(tmp_path, change, words):
     data, (field, value) = io.fit_to_dict(fit_of(CAMERA)), change.split(" = ")
     data["fit"][field] = json.loads(value)
     path = put(tmp_path, "fit.json", json.dumps(data))
-    with refusal(f"{WRONG[change]}.*fit.json.*"):
+    with refusal(f"{words}.*fit.json.*"):
         io.load_fit(path)
 
 

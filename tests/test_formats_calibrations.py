@@ -1,4 +1,5 @@
-"""Calibrations as programs and people write them: OpenCV's own projections are the oracle."""
+"""Calibrations as programs and people write them: OpenCV's own projections are the oracle; and
+files of intrinsics alone, as calibrations, networks and COLMAP write them."""
 
 import json
 
@@ -7,10 +8,12 @@ import numpy as np
 import pytest
 from folders import put
 from numpy.testing import assert_allclose
-from refusals import refusal
+from refusals import pairs, refusal
 from test_formats_oracles import image_points
 
+import pinhole_jax as pj
 from pinhole_jax import formats
+from pinhole_jax.formats import read_intrinsics
 
 K = np.array([[300.0, 0, 320], [0, 310, 240], [0, 0, 1]])
 BENT = np.array([-0.03, 0.01, -0.004, 0.0006])
@@ -93,11 +96,11 @@ NAMED = {
 MODELS = {line.strip(): model for model, x in NAMED.items() for line in x.strip().splitlines()}
 
 
-@pytest.mark.parametrize("line", MODELS)
-def test_lens_model_is_the_one_that_a_calibration_names(tmp_path, line):
+@pairs("line, model", MODELS)
+def test_lens_model_is_the_one_that_a_calibration_names(tmp_path, line, model):
     lines = line.replace(" + ", "\n")
     path = put(tmp_path, "c.yaml", f"{HEAD}{MATRIX}{COEFFICIENTS}{lines}\n{TAIL}")
-    check_sees_as_opencv(path, MODELS[line])
+    check_sees_as_opencv(path, model)
 
 
 NAMES = """dist dist_coeff dist_coeffs distCoeffs DistCoeff distCoef D distortion
@@ -135,14 +138,13 @@ REFUSED = {
     "xi: 1.2": "`xi`: expected a lens's coefficients",
     "lens: fisheye by Kowa": "`lens`: expected a model of OpenCV's .*, got 'fisheye by Kowa'",
     "type: kannala_brandt_9": "`type`: expected a model of OpenCV's",
-    "fisheye: 1\nx: 2": None,
+    "fisheye: 1\ndist: [ 1, 2, 3, 4, 5 ]": "`dist`: expected 4 coefficients of a fisheye",
 }
 
 
-@pytest.mark.parametrize("line", REFUSED)
-def test_lens_that_is_not_understood_is_refused(tmp_path, line):
-    coefficients = "dist: [ 1, 2, 3, 4, 5 ]\n" if REFUSED[line] is None else COEFFICIENTS
-    message = REFUSED[line] or "`dist`: expected 4 coefficients of a fisheye"
+@pairs("line, message", REFUSED)
+def test_lens_that_is_not_understood_is_refused(tmp_path, line, message):
+    coefficients = "" if "\ndist" in line else COEFFICIENTS
     path = put(tmp_path, "c.yaml", f"{HEAD}{MATRIX}{coefficients}{line}\n{TAIL}")
     with refusal(message):
         formats.read(path)
@@ -167,6 +169,9 @@ def test_opencvs_own_files_are_read(tmp_path, ending, model):
         storage.write(name, value)
     storage.release()
     check_sees_as_opencv(path, model)
+    known = read_intrinsics(path)
+    assert_allclose(known.K, K, rtol=1e-12)
+    assert type(known.distortion).__name__ == model
 
 
 XML = "<opencv_storage><image_width>640</image_width>{}</opencv_storage>"
@@ -179,10 +184,10 @@ XML_CASES = {
 }
 
 
-@pytest.mark.parametrize("text", XML_CASES, ids=range(len(XML_CASES)))
-def test_wrong_opencv_xml(tmp_path, text):
+@pairs("text, words", XML_CASES)
+def test_wrong_opencv_xml(tmp_path, text, words):
     path = put(tmp_path, "c.xml", text)
-    with refusal(XML_CASES[text]):
+    with refusal(words):
         formats.read(path, None if "storage>" in text[-9:] else "opencv")
 
 
@@ -217,9 +222,8 @@ FOREIGN = {
 }
 
 
-@pytest.mark.parametrize("name", FOREIGN)
-def test_files_of_other_programs_are_named(tmp_path, name):
-    text, message = FOREIGN[name]
+@pairs("name, text, message", FOREIGN)
+def test_files_of_other_programs_are_named(tmp_path, name, text, message):
     path = put(tmp_path, name, text)
     with refusal(message):
         formats.read(path)
@@ -246,3 +250,96 @@ def test_frames_intrinsics_come_before_the_files(tmp_path, frame, wanted):
     assert_allclose(np.diag(camera.K)[:2], (fx, fy), rtol=1e-12)
     assert type(lens).__name__ == model
     assert (float(lens.k1), p1 and float(lens.p1)) == (k1, p1)
+
+
+# --- intrinsics alone ----------------------------------------------------------------------------
+
+FLAT = K.ravel().tolist()
+HALVES = np.array([[300.0, 0, 320.5], [0, 310, 240.5], [0, 0, 1]])
+KNOWN = [*BENT.tolist(), 0.0]
+ROS = f"""image_width: 640
+image_height: 480
+camera_name: narrow
+camera_matrix: {{rows: 3, cols: 3, data: {FLAT}}}
+distortion_model: plumb_bob
+distortion_coefficients: {{rows: 1, cols: 5, data: {KNOWN}}}
+rectification_matrix: {{rows: 3, cols: 3, data: [1, 0, 0, 0, 1, 0, 0, 0, 1]}}
+projection_matrix: {{rows: 3, cols: 4, data: [9, 0, 9, 0, 0, 9, 9, 0, 0, 0, 1, 0]}}
+"""
+KALIBR = f"""cam0:
+  camera_model: pinhole
+  distortion_model: radtan
+  distortion_coeffs: {KNOWN[:4]}
+  intrinsics: [300, 310, 320, 240]
+  resolution: [640, 480]
+"""
+COLMAP = "# Camera list\n1 OPENCV 640 480 300 310 320.5 240.5 -0.03 0.01 -0.004 0.0006\n"
+NUMBERS = {"fx": 300, "fy": 310, "cx": 320, "cy": 240}
+#: A message of ROS 2, as `ros2 topic echo --once /camera_info` prints it.
+CAMERA_INFO = json.dumps(
+    {"height": 480, "width": 640, "distortion_model": "plumb_bob", "d": KNOWN, "k": FLAT}
+    | {"r": np.eye(3).ravel().tolist(), "p": np.eye(3, 4).ravel().tolist()}
+    | {"binning_x": 0, "roi": {"width": 0, "do_rectify": False}}
+)
+FILES = {
+    "ros.yaml": ROS,
+    "camera_info.yaml": CAMERA_INFO,
+    "camchain.yaml": KALIBR,
+    "cameras.txt": COLMAP,
+    "two/cameras.txt": COLMAP + "2 PINHOLE 640 480 500 500 320 240\n",
+    "named.json": json.dumps({**NUMBERS, "width": 640, "height": 480, "dist": KNOWN[:4]}),
+    "nested.json": json.dumps({"intrinsics": NUMBERS, "dist": KNOWN[:4]}),
+    "matrix.json": json.dumps({"intrinsics": [K.tolist()], "dist": KNOWN[:4], "depth": "a.npy"}),
+    "flat.json": json.dumps({"cam_K": FLAT, "dist": KNOWN[:4]}),
+    "transforms.json": json.dumps(
+        {"fl_x": 300, "fl_y": 310, "cx": 320.5, "cy": 240.5, "w": 640, "h": 480, "frames": []}
+        | dict(zip(("k1", "k2", "p1", "p2"), KNOWN, strict=False))
+    ),
+}
+
+
+def check_lens(camera):
+    assert (camera.W, camera.H) == (640, 480)
+    matrix, _, _ = formats.to_opencv(camera, pixel_centres="half")
+    assert_allclose(matrix, HALVES, rtol=1e-12)
+    coefficients = camera.distortion.coefficients()
+    assert_allclose([*map(float, coefficients.values())], KNOWN, rtol=1e-12)
+
+
+@pairs("name, text", FILES)
+def test_intrinsics_are_read_with_their_lens(name, text, tmp_path):
+    path = put(tmp_path, name, text)
+    asked = f"{path}:1" if name.startswith("two") else path
+    check_lens(read_intrinsics(asked, size=(640, 480)))
+
+
+def test_intrinsics_of_a_camera_file_leave_its_pose_out(tmp_path):
+    lens = {"pixel_centres": "integer", "distortion": pj.BrownConrady(*BENT)}
+    camera = pj.Camera.from_K(K, np.eye(3), [0, 0, 9], 640, 480, **lens)
+    pj.io.save_camera(tmp_path / "camera.json", camera)
+    found = read_intrinsics(tmp_path / "camera.json")
+    check_lens(found)
+    assert_allclose(found.e, [0, 0, 1], atol=1e-12)
+
+
+def test_row_of_numbers_is_a_matrix_in_json(tmp_path):
+    found = read_intrinsics(put(tmp_path, "K.json", json.dumps(K.tolist())), size=(640, 480))
+    assert_allclose(found.K, K, rtol=1e-12)
+    assert found.distortion is None
+
+
+#: A file's name and text, by the error.
+NO_INTRINSICS = {
+    "sides count as 1": ("unit.json", '{"K": [[1.2, 0, 0.5], [0, 1.6, 0.5], [0, 0, 1]]}'),
+    r"`K`: expected .*, or fx, fy, cx, cy, got \[1.0, 2.0\]": ("few.json", '{"K": [1.0, 2.0]}'),
+    "got no fy": ("none.json", '{"fx": 300, "cx": 1, "cy": 1}'),
+    "OpenSfM": ("shots.json", '{"shots": {}}'),
+    "FILE:NAME with a name among": ("cameras.txt", FILES["two/cameras.txt"]),
+}
+
+
+@pairs("words, name, text", NO_INTRINSICS)
+def test_file_without_intrinsics_is_refused(words, name, text, tmp_path):
+    path = put(tmp_path, name, text)
+    with refusal(words):
+        read_intrinsics(path, size=(640, 480))

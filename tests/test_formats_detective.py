@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 from oracles import body, camera_ahead, drawn, lump, off
-from refusals import refuses
+from refusals import pairs, refuses
 
 import pinhole_jax as pj
 from pinhole_jax import formats, io
@@ -43,9 +43,8 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
-def test_conventions_are_told_apart(name):
-    pose, program, direction = CASES[name]
+@pairs("name, pose, program, direction", CASES)
+def test_conventions_are_told_apart(name, pose, program, direction):
     found = formats.detect(SCENE, MASK, pose, K=K)
     best = found.hypotheses[0]
     assert program in best.axes

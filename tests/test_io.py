@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from oracles import skew_camera
 from PIL import ExifTags, Image
 from PIL.TiffImagePlugin import IFDRational
-from refusals import refusal
+from refusals import pairs, refusal
 
 import pinhole_jax as pj
 from pinhole_jax import io
@@ -42,13 +42,9 @@ def test_vertices_rounded_coarsely_are_reported(tmp_path):
     corners = "v 100000.1 0 0\nv 100000.2 0.3 0\nv 100000.3 0 0.1\nf 1 2 3\n"
     text = put(tmp_path, "far.obj", corners)
     pj.load_mesh(text)
-    jax.config.update("jax_enable_x64", False)
-    try:
-        with pytest.warns(UserWarning, match="or set jax_enable_x64") as told:
-            pj.load_mesh(text)
-        assert len(told) == 1
-    finally:
-        jax.config.update("jax_enable_x64", True)
+    with jax.enable_x64(False), pytest.warns(UserWarning, match="or set jax_enable_x64") as told:
+        pj.load_mesh(text)
+    assert len(told) == 1
 
 
 def test_vertices_beyond_float32_load_without_a_word(tmp_path):
@@ -87,12 +83,12 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("change", WRONG)
-def test_wrong_fields_are_named(tmp_path, change):
+@pairs("change, words", WRONG)
+def test_wrong_fields_are_named(tmp_path, change, words):
     field, value = change.split(" = ")
     data = {**io.camera_to_dict(CAMERA), field: json.loads(value)}
     path = put(tmp_path, "camera.json", json.dumps(data))
-    with refusal(WRONG[change]):
+    with refusal(words):
         io.load_camera(path)
 
 

@@ -1,10 +1,10 @@
 """What a mask tells of how it was made, and so of the residual that a right camera leaves."""
 
 import numpy as np
-import pytest
 from honesty import jpeg
 from numpy.random import default_rng
 from oracles import drawn, lump, normal, usual_camera
+from refusals import pairs
 from scipy.ndimage import gaussian_filter
 
 from pinhole_jax._mask.kinds import kind_of
@@ -62,9 +62,8 @@ KINDS = {
 }
 
 
-@pytest.mark.parametrize("name", KINDS)
-def test_residual_of_the_right_camera_matches_the_kind(name):
-    make, kind, exact = KINDS[name]
+@pairs("name, make, kind, exact", KINDS)
+def test_residual_of_the_right_camera_matches_the_kind(name, make, kind, exact):
     target = make(MASK)
     found = kind_of(target, np.ones(MASK.shape), np.float64)
     assert (found.name, found.exact) == (kind, exact)

@@ -6,7 +6,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from oracles import drawn, lump, usual_camera
 from PIL import Image
-from refusals import refusal
+from refusals import pairs, refusal
 
 from pinhole_jax import io
 
@@ -129,9 +129,8 @@ READ = {
 }
 
 
-@pytest.mark.parametrize("name", READ)
-def test_pictures_are_read_as_masks(tmp_path, name):
-    image, expected, words = READ[name]
+@pairs("name, image, expected, words", READ)
+def test_pictures_are_read_as_masks(tmp_path, name, image, expected, words):
     mask, said = load(tmp_path, image)
     assert mask.dtype == np.uint8
     assert_array_equal(mask, expected)

@@ -11,10 +11,10 @@ import time
 import numpy as np
 import pytest
 import shapely
-from folders import put
+from folders import put, triangles_of
 from numpy.testing import assert_allclose, assert_array_equal
 from oracles import QUAD
-from refusals import refusal
+from refusals import pairs, refusal
 from scipy.spatial.transform import Rotation
 from test_polygons import SHAPES, covered
 
@@ -28,8 +28,7 @@ TRIANGLE = np.array([[90, 0], [91, 0], [90, 1.0]])
 FACES = [*FLAT, TRIANGLE]
 POINTS = np.pad(np.concatenate(FACES), ((0, 0), (0, 1)), constant_values=0.5)
 COUNTS = [len(face) for face in FACES]
-STARTS = np.cumsum([0, *COUNTS])[:-1]
-CORNERS = [np.arange(s, s + n) for s, n in zip(STARTS, COUNTS, strict=True)]
+CORNERS = np.split(np.arange(len(POINTS)), np.cumsum(COUNTS)[:-1])
 
 
 def obj(corner="{}", back=False, end="\n", more=""):
@@ -110,13 +109,9 @@ def mesh_of(tmp_path, name, data):
     return pj.load_mesh(put(tmp_path, name, data))
 
 
-def triangles_of(mesh):
-    return np.asarray(mesh.vertices)[np.asarray(mesh.faces)]
-
-
-@pytest.mark.parametrize("name", FILES)
-def test_polygons_of_every_format_cover_what_they_cover(tmp_path, name):
-    found = triangles_of(mesh_of(tmp_path, name, FILES[name]))
+@pairs("name, data", FILES)
+def test_polygons_of_every_format_cover_what_they_cover(tmp_path, name, data):
+    found = triangles_of(mesh_of(tmp_path, name, data))
     assert len(found) == sum(COUNTS) - 2 * len(COUNTS)
     assert_array_equal(found[..., 2], 0.5)
     owner = ((found[..., 0].mean(axis=1) + 3) // 10).astype(int)
@@ -212,9 +207,8 @@ OTHERS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", OTHERS)
-def test_unsupported_features_are_refused_by_name(tmp_path, name):
-    data, message = OTHERS[name]
+@pairs("name, data, message", OTHERS)
+def test_unsupported_features_are_refused_by_name(tmp_path, name, data, message):
     with refusal(f"`path`: expected .*{message}"):
         mesh_of(tmp_path, name, data)
 
@@ -476,9 +470,9 @@ CHANGES = {
 }
 
 
-@pytest.mark.parametrize("change", CHANGES)
-def test_wrong_fields_of_a_gltf_file_are_named(tmp_path, change):
-    f, message = one_node(), CHANGES[change]
+@pairs("change, message", CHANGES)
+def test_wrong_fields_of_a_gltf_file_are_named(tmp_path, change, message):
+    f = one_node()
     path, _, value = change.partition(" = ")
     *parts, last = (int(x) if x.isdecimal() else x for x in path.split("."))
     part = f.top

@@ -7,9 +7,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import trimesh
-from folders import put
+from folders import put, triangles_of
 from numpy.testing import assert_allclose
-from refusals import refusal
+from refusals import pairs, refusal
 
 import pinhole_jax as pj
 from pinhole_jax._command.joints import joint_angles
@@ -26,8 +26,8 @@ def write_stl(path, size):
     trimesh.creation.box(bounds=[[0] * 3, [size] * 3]).export(path)
 
 
-def write_urdf(folder, body, name="a.urdf"):
-    return put(folder, name, f'<robot name="a">{body}</robot>')
+def write_urdf(folder, body):
+    return put(folder, "a.urdf", f'<robot name="a">{body}</robot>')
 
 
 def robot_of(folder, body, **more):
@@ -42,12 +42,8 @@ def mesh(filename, scale=""):
     return link("part", f'<mesh filename="{filename}" {scale}/>')
 
 
-def corners_of(mesh):
-    return np.asarray(mesh.vertices)[np.asarray(mesh.faces)]
-
-
-def extent(robot, angles=()):
-    vertices = np.asarray(robot.scene(angles).mesh.vertices)
+def extent(robot):
+    vertices = np.asarray(robot.scene(()).mesh.vertices)
     return np.r_[vertices.min(axis=0), vertices.max(axis=0)]
 
 
@@ -132,7 +128,7 @@ def test_mirroring_scales_turn_faces_outwards(tmp_path):
     for scale, low in (("1 1 1", 0), ("-2 1 1", -2), ("0.5", 0)):
         robot = robot_of(tmp_path, mesh("a.stl", f'scale="{scale}"'))
         assert extent(robot)[0] == low
-        assert np.sum(np.linalg.det(corners_of(robot.scene(()).mesh))) > 0
+        assert np.sum(np.linalg.det(triangles_of(robot.scene(()).mesh))) > 0
 
 
 # --- Collada -------------------------------------------------------------------------------------
@@ -198,7 +194,7 @@ def test_collada_polygons_are_cut(tmp_path):
     text = collada(shape='<polylist count="1">{}<vcount>6</vcount><p>0 1 2 3 4 5</p></polylist>')
     text = re.sub(r'(count="24">)[^<]*', rf"\g<1>{numbers}", text)
     mesh = pj.load_mesh(put(tmp_path, "a.dae", text))
-    sides = np.diff(corners_of(mesh)[..., :2], axis=1)
+    sides = np.diff(triangles_of(mesh)[..., :2], axis=1)
     areas = np.linalg.det(sides) / 2
     assert_allclose(areas.sum(), 3)
     assert np.all(areas > 0)
@@ -377,10 +373,10 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("words", REFUSED)
-def test_robots_that_are_not_read_are_refused_with_the_reason(tmp_path, words):
+@pairs("words, body", REFUSED)
+def test_robots_that_are_not_read_are_refused_with_the_reason(tmp_path, words, body):
     with refusal(rf"`path`: expected a URDF file, .*a.urdf.*{words}"):
-        robot_of(tmp_path, REFUSED[words])
+        robot_of(tmp_path, body)
 
 
 @pytest.mark.parametrize("text", ['<sdf version="1.6"><model name="a"/></sdf>', "", "<robot", "{}"])

@@ -1,12 +1,12 @@
 """Copies of faces and faces without area change nothing: neither the outline, nor the image."""
 
 import numpy as np
-import pytest
 import trimesh
 from folders import in_trimesh
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from oracles import CORNERS, QUAD, filled, mesh_coverage, usual_camera
+from refusals import pairs
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
@@ -76,9 +76,9 @@ MESHES = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", MESHES)
-def test_faces_that_repeat_or_have_no_area_are_no_outline(name):
-    (vertices, faces), closed, edges = MESHES[name]
+@pairs("name, body, closed, edges", MESHES)
+def test_faces_that_repeat_or_have_no_area_are_no_outline(name, body, closed, edges):
+    vertices, faces = body
     mesh = pj.Mesh(vertices, faces)
     assert mesh.closed == closed
     assert len(mesh.edge_vertices) == edges
@@ -86,5 +86,5 @@ def test_faces_that_repeat_or_have_no_area_are_no_outline(name):
     area = in_trimesh(mesh).area_faces
     assert np.all(area[first] > 0)
     assert np.all(area[second[second >= 0]] > 0)
-    image = pj.silhouette(CAMERA, pj.Scene(mesh=filled(vertices, faces, 4000)))
+    image = pj.silhouette(CAMERA, pj.Scene(filled(vertices, faces, 4000)))
     assert_allclose(image, mesh_coverage(CAMERA, vertices, faces[area > 0]), atol=1e-12)
