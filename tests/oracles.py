@@ -88,9 +88,13 @@ def central_difference(function, x, step=1e-5):
     return np.stack(columns, axis=-1).reshape((*np.shape(columns[0]), *x.shape))
 
 
+def cast(tree, kind):
+    """Return cameras or scenes in a float type."""
+    return jax.tree.map(lambda x: x.astype(kind) if x.dtype.kind == "f" else x, tree)
+
+
 def single(tree):
-    """Return cameras or scenes in float32."""
-    return jax.tree.map(lambda x: x.astype(jnp.float32) if x.dtype == float else x, tree)
+    return cast(tree, np.float32)
 
 
 def turned(camera, degrees, distance=1.0, focal=1.0, axis=(1, 2, 3)):
@@ -120,6 +124,11 @@ def camera_ahead(W=96, H=80):
 def body(*mesh):
     """Return the scene of a mesh: of vertices and faces, or of a mesh of trimesh's."""
     return pj.Scene(pj.Mesh(*mesh))
+
+
+def balls(centers, radii, mesh=None):
+    """Return the scene of spheres, and of a mesh."""
+    return pj.Scene(mesh, pj.Spheres(centers, radii))
 
 
 def lump(*given, **more):

@@ -12,7 +12,7 @@ from decimal import Decimal
 
 import numpy as np
 import trimesh
-from oracles import _oracle, filled, union_per_pixel
+from oracles import _oracle, balls, filled, union_per_pixel
 
 import pinhole_jax as pj
 
@@ -62,11 +62,7 @@ def log_uniform(random, low, high):
 
 def extreme(low, high, change):
     """Return a case: a usual view, changed by a number of any size between two."""
-
-    def case(random):
-        return change(usual(random), log_uniform(random, low, high), random)
-
-    return case
+    return lambda random: change(usual(random), log_uniform(random, low, high), random)
 
 
 def distant(v, s, random):
@@ -228,8 +224,8 @@ def rounded(view, dtype):
 def scene_of(view, vertices):
     """Return the scene with arrays of one size, so that all share one program."""
     if view.radius:
-        return pj.Scene(spheres=pj.Spheres(vertices, np.full(1, view.radius, vertices.dtype)))
-    return pj.Scene(mesh=filled(vertices, view.faces, 256))
+        return balls(vertices, np.full(1, view.radius, vertices.dtype))
+    return pj.Scene(filled(vertices, view.faces, 256))
 
 
 def decimals(x):
@@ -293,15 +289,10 @@ def sphere_oracle(camera, center, radius):
     x, y, z = np.moveaxis(np.stack([one, cos, sin], axis=-1) @ frame, -1, 0)
     _, dy, dz = np.moveaxis(np.stack([0 * one, -sin, cos], axis=-1) @ frame, -1, 0)
     x, y, dy = x / z, y / z, weights * width * (dy - y / z * dz) / z
-    # A part within a pixel covers what is left of it there, and all pixels farther left. (What is
-    # beyond the film is counted in a column and a row about it.)
-    middle = np.floor(np.stack([y, x])[..., 6]).astype(int)
-    row, column = np.clip(middle, -1, [[H], [W]])
-    own, beyond = np.zeros((2, H + 2, W + 2), Exact)
-    np.add.at(own, (row, column), np.sum((x - column[:, None]) * dy, axis=1))
-    np.add.at(beyond, (row, column), np.sum(dy, axis=1))
-    left = np.cumsum(beyond[:, W::-1], axis=1)[:, ::-1][:, 1:]
-    return np.abs(own[:H, :W] + left[:H]).astype(float)[::-1]
+    # Left of each line of the grid, part by part; then below each, and the squares between them.
+    left = np.sum(np.clip(x[..., None], 0, np.arange(W + 1)) * dy[..., None], axis=1)
+    corners = (y[:, :1] < np.arange(H + 1)).T @ left
+    return np.abs(np.diff(np.diff(corners, axis=0))).astype(float)[::-1]
 
 
 def oracle(camera, vertices, faces):

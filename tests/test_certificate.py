@@ -1,7 +1,5 @@
 """The certificate passes what is right, and names the row where a fault was planted."""
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -10,7 +8,8 @@ import pytest
 from chosen import full
 from jax.custom_derivatives import linear_call
 from jax.lax import stop_gradient
-from oracles import lump, single, usual_camera
+from jax.tree_util import Partial
+from oracles import balls, drawn, lump, single, usual_camera
 from refusals import refusal, refuses
 
 import pinhole_jax as pj
@@ -19,7 +18,7 @@ W, H = 32, 24
 
 
 CAMERA = usual_camera(W, H).replace(d=1.3)
-SCENE = pj.Scene(spheres=pj.Spheres([[1.2, 0.9, 0], [-0.8, -0.5, 0.5]], [0.3, 0.6]))
+SCENE = balls([[1.2, 0.9, 0], [-0.8, -0.5, 0.5]], [0.3, 0.6])
 SINGLE = single((CAMERA, SCENE))
 
 
@@ -40,23 +39,17 @@ def blob(camera, scene):
     return jnp.exp(-((column[None] - x) ** 2 + (row[:, None] - y) ** 2) / 40)
 
 
-class Flawed(eqx.Module):
+def flawed(flaws, camera, scene):
     """The blob with flaws that are data, so that all share one program: a kink of this height where
     the eye's x has a value; too steep a slope there; a share of the camera's derivatives alone."""
-
-    x: Any
-    kink: Any
-    steep: Any
-    share: Any
-
-    def __call__(self, camera, scene):
-        x, known = camera.e[0], lambda v: self.share * v + (1 - self.share) * stop_gradient(v)
-        image = blob(jax.tree.map(known, camera), scene) + self.kink * jnp.abs(x - self.x)
-        return image + self.steep * (x - stop_gradient(x))
+    at, kink, steep, share = flaws
+    x, known = camera.e[0], lambda v: share * v + (1 - share) * stop_gradient(v)
+    image = blob(jax.tree.map(known, camera), scene) + kink * jnp.abs(x - at)
+    return image + steep * (x - stop_gradient(x))
 
 
 def certified(camera=CAMERA, scene=SCENE, x=9.0, kink=0.0, steep=0.0, share=1.0, **more):
-    image = Flawed(*jnp.array([x, kink, steep, share]))
+    image = Partial(flawed, jnp.array([x, kink, steep, share]))
     return pj.check_gradients(camera, scene, image, verbose=False, **more)
 
 
@@ -119,14 +112,14 @@ def faulty(parameters=(), pixel=(), forward=1.0, reverse=1.0):
     for name, gain in parameters:
         rates = eqx.tree_at(lambda c, name=name: getattr(c, name), rates, jnp.asarray(gain, float))
     pixels = [jnp.ones((H, W)).at[pixel].set(gain) for gain in (forward, reverse)]
-    wrong = jax.tree_util.Partial(planted, (rates, *pixels))
+    wrong = Partial(planted, (rates, *pixels))
     return pj.check_gradients(CAMERA, SCENE, wrong, verbose=False)
 
 
 @pytest.fixture(scope="module")
 def weak_pixel():
     """A pixel of the outline that a sphere covers by no more than a tenth."""
-    cover = np.asarray(pj.silhouette(CAMERA, SCENE))
+    cover = drawn(CAMERA, SCENE)
     return tuple(int(i) for i in np.argwhere((cover > 0.02) & (cover < 0.1))[0])
 
 

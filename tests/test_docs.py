@@ -25,7 +25,7 @@ from chosen import full, long
 from folders import in_trimesh
 from oracles import usual_camera
 from processes import printed
-from results import degrees
+from results import check_found
 
 import pinhole_jax as pj
 from pinhole_jax import __main__ as command, io, shapes
@@ -188,8 +188,7 @@ def test_python_runs(page, another_cache, tmp_path, monkeypatch):
         exec(compile(block, f"{page}, block {number}", "exec"), names)
     fits, most = FOUND.get(page, ("", 0))
     for fit in map(names.get, fits.split()):
-        assert fit.status == "converged"
-        assert degrees(fit, names["truth"]) < most
+        check_found(fit, names["truth"], most)
 
 
 @pytest.fixture

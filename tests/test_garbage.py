@@ -13,6 +13,7 @@ import pytest
 import trimesh
 from chosen import first
 from fuzz_readers import broken, damaged, ring, targets
+from oracles import balls, body, cast
 from PIL import Image
 from processes import printed
 from refusals import refusal
@@ -50,7 +51,7 @@ def test_no_argument_takes_what_is_no_number(bad):
             make()
 
 
-VIEW, SCENE = pj.Camera(**CAMERA, **SIZE), pj.Scene(pj.Mesh(BOX.vertices, BOX.faces))
+VIEW, SCENE = pj.Camera(**CAMERA, **SIZE), body(BOX)
 VIEWS, MASK = jax.tree.map(lambda x: np.stack([x, x]), VIEW), np.zeros((18, 24))
 RAYS, JOINT = pj.Rays(np.zeros(3), np.ones(3)), pj.JointView(SCENE, MASK)
 NAMES = "expected names like 'pose', or several: 'pose,phi'"
@@ -69,6 +70,7 @@ def fit(function=pj.fit_camera, camera=VIEW, mask=MASK, **more):
     return [partial(function, SCENE, mask, camera, **{name: value}) for value in values]
 
 
+fits = partial(fit, pj.fit_cameras, [VIEW], [MASK])
 #: Calls whose arguments are swapped or of the wrong kind, by the words that they earn.
 CALLS = {
     "`scene`, `rays`: expected a Scene and Rays or a Camera, got Rays, Scene": calls(RAYS, SCENE)(
@@ -114,38 +116,30 @@ CALLS = {
     "`items[0]`: expected a mapping of fields, got str": calls(["a"])(pj.fit_many),
     "`record`: expected a mapping of fields, got str": calls("a")(pj.fit_one),
     f"`free`: {NAMES}": fit(free=[None, 3]),
-    f"`shared`: {NAMES}": fit(pj.fit_cameras, [VIEW], [MASK], shared=[None]),
-    "`shared`: expected names among phi, d, ": [
-        *fit(pj.fit_cameras, [VIEW], [MASK], shared=["foo"])
-    ],
+    f"`shared`: {NAMES}": fits(shared=[None]),
+    "`shared`: expected names among phi, d, ": fits(shared=["foo"]),
     "`shared`: expected names among pose, ": fit(pj.fit_cameras, None, [MASK], shared=["foo"]),
-    "`shared`: expected coefficients of a BrownConrady": [
-        *fit(pj.fit_cameras, [VIEW], [MASK], shared=["k4"])
-    ],
+    "`shared`: expected coefficients of a BrownConrady": fits(shared=["k4"]),
     "`outlier_px`: expected a positive number of px, got": [
-        *fit(outlier_px=["2", [2], True, np.nan, np.inf]),
-        *fit(pj.fit_cameras, [VIEW], [MASK], outlier_px=["a"]),
+        *fit(outlier_px=["2", [2], True, np.nan, np.inf]), *fits(outlier_px=["a"])
     ],
     "`noise_px`: expected a positive number of px, got": [
         *(c for x in ("a", [1], True) for c in calls(MASK, MASK, VIEW, noise_px=x)(pj.fit_points))
     ],
-    f"`points2d`: expected real numbers of shape (N, 2), or (V, N, 2) for V views, got {RAGGED}": [
-        *calls(np.eye(3), RAGGED, VIEW)(pj.fit_points)
-    ],
-    f"`points3d`: expected a real array of shape (18, 3), got {RAGGED}": [
-        *calls(RAGGED, MASK[:, :2], VIEW)(pj.fit_points)
-    ],
-    f"`target`: {SHAPE} {READER}, got 'mask.png'": [
-        *fit(mask="mask.png", max_steps=[1])
-    ],
-    f"`target`: expected shape (H, W) {READER}, got 'mask.png'": [
-        *fit(camera=None, mask="mask.png", phi=[0.6])
-    ],
+    f"`points2d`: expected real numbers of shape (N, 2), or (V, N, 2) for V views, got {RAGGED}":
+        calls(np.eye(3), RAGGED, VIEW)(pj.fit_points),
+    f"`points3d`: expected a real array of shape (18, 3), got {RAGGED}": calls(
+        RAGGED, MASK[:, :2], VIEW
+    )(pj.fit_points),
+    f"`target`: {SHAPE} {READER}, got 'mask.png'": fit(mask="mask.png", max_steps=[1]),
+    f"`target`: expected shape (H, W) {READER}, got 'mask.png'": fit(
+        camera=None, mask="mask.png", phi=[0.6]
+    ),
     f"`target`: {SHAPE}, got None": fit(mask=None, max_steps=[1]),
     f"`target`: {SHAPE}, got {RAGGED}": fit(mask=RAGGED, max_steps=[1]),
     f"`weight`: {SHAPE}, got {RAGGED}": fit(weight=[RAGGED]),
     "`max_steps`: expected an integer of at least 1": [
-        *fit(max_steps=["3", True]), *fit(pj.fit_cameras, [VIEW], [MASK], max_steps=[2.5])
+        *fit(max_steps=["3", True]), *fits(max_steps=[2.5])
     ],
     "`prior`: expected a dict of names and their": fit(prior=[[1, 2]]),
     "`prior`: expected (mean, standard deviation) of 'e_x', got": fit(
@@ -190,9 +184,9 @@ def test_empty_scenes_cover_nothing():
     none = np.zeros((0, 3))
     for scene in (
         pj.Scene(),
-        pj.Scene(pj.Mesh(none, none.astype(int))),
-        pj.Scene(pj.Mesh(np.eye(3), [[0, 0, 0], [1, 1, 2]])),
-        pj.Scene(spheres=pj.Spheres(none, none[:, 0])),
+        body(none, none.astype(int)),
+        body(np.eye(3), [[0, 0, 0], [1, 1, 2]]),
+        balls(none, none[:, 0]),
     ):
         assert not np.any(pj.silhouette(VIEW, scene))
         if scene.mesh is None or not len(scene.mesh.faces):
@@ -204,7 +198,7 @@ def test_empty_scenes_cover_nothing():
 def test_random_bits_as_vertices_are_refused_or_seen_without_nan(kind, exhaustive):
     """Random exponents: products of coordinates overflow, differences lose all digits."""
     dtype = np.dtype(kind)
-    camera = jax.tree.map(lambda x: x.astype(dtype), VIEW)
+    camera = cast(VIEW, dtype)
     random, refused = np.random.default_rng(0), 0
     faces = random.integers(0, 12, (20, 3))  # the same always: they share a program
     meshes = 500 if exhaustive else 15
@@ -229,7 +223,7 @@ def test_random_bits_as_vertices_are_refused_or_seen_without_nan(kind, exhaustiv
 @pytest.mark.long
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e300])
 def test_rays_that_are_no_rays_miss_and_leave_others_alone(bad):
-    scene = pj.Scene(pj.shapes.bumpy(1), spheres=pj.Spheres([[0.0, 0, 2]], [0.5]))
+    scene = balls([[0.0, 0, 2]], [0.5], pj.shapes.bumpy(1))
     rays = np.tile([[[0.1, 0.2, 5.0]], [[0.0, 0, -1]]], (1, 5, 1))  # origins, directions
     whole = pj.trace(scene, pj.Rays(*rays))
     rays[0, 1, 0], rays[1, 2], rays[1, 3] = bad, 0, np.nan

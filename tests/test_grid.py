@@ -11,7 +11,7 @@ import pytest
 import trimesh
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
-from oracles import body, mesh_coverage
+from oracles import body, cast, mesh_coverage
 
 import pinhole_jax as pj
 from pinhole_jax._scene.scene import padded
@@ -23,8 +23,8 @@ SOME, MANY = 24, 400
 
 def camera(turn, dtype=float):
     """Return a camera that sees 16 pixels to a unit of z = 0, turned by this many right angles."""
-    arrays = ([0, 0, 4], [0, 0, 0], UP[turn], 2 * np.arctan(0.25), 1.0)
-    return pj.Camera(*(np.asarray(x, dtype) for x in arrays), W, H)
+    ahead = pj.Camera([0, 0, 4], [0, 0, 0], UP[turn], 2 * np.arctan(0.25), 1.0, W, H)
+    return cast(ahead, dtype)
 
 
 def interval(random, low, high, step):

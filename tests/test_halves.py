@@ -5,7 +5,7 @@ import pytest
 from chosen import long
 from masks import wavy
 from numpy.random import default_rng
-from oracles import central_difference, lump, normal, usual_camera
+from oracles import central_difference, drawn as mask_of, lump, normal, usual_camera
 from refusals import refusal
 from results import NAMES, fit_at
 from scipy.spatial.transform import Rotation
@@ -82,7 +82,7 @@ def test_difference_is_that_of_the_scene_before_the_camera():
 
 @pytest.mark.parametrize("weight", [None, np.arange(96) / 96 * np.ones((80, 1))])
 def test_outline_halves_share_out_all_pixels(weight):
-    mask = np.asarray(pj.silhouette(CAMERA, SCENE))
+    mask = mask_of(CAMERA, SCENE)
     odd, even = pj.outline_halves(mask, weight=weight)
     total = np.ones((80, 96)) if weight is None else weight
     np.testing.assert_array_equal(odd + even, total)
@@ -105,8 +105,7 @@ def test_blocks_of_an_outline_are_longer_than_errors_reach(reach, blocks):
 def test_halves_of_wavy_outlines_differ_by_their_error_bars():
     squares, count = 0.0, 0
     for seed in range(8):
-        exact = np.asarray(pj.silhouette(CAMERA, SCENE))
-        mask = wavy(exact, default_rng(seed), 0.7, 6.0)
+        mask = wavy(mask_of(CAMERA, SCENE), default_rng(seed), 0.7, 6.0)
         fit = pj.fit_camera(SCENE, mask, CAMERA)
         refit = lambda w, m=mask, c=fit.camera: pj.fit_camera(SCENE, m, c, weight=w)
         check = pj.split_check(refit, pj.outline_halves(mask, fit.mask_error))

@@ -10,8 +10,9 @@ import pytest
 import trimesh
 from chosen import first
 from numpy.testing import assert_allclose, assert_array_equal
-from oracles import CORNERS, QUAD, body, central_difference, usual_camera
+from oracles import CORNERS, QUAD, balls, body, camera_ahead, central_difference, usual_camera
 from PIL import Image
+from test_silhouette import moving
 
 import pinhole_jax as pj
 from pinhole_jax import formats, shapes
@@ -23,14 +24,14 @@ WALL, FACES = 9 * CORNERS, np.array(QUAD)
 
 @pytest.fixture(scope="module")
 def scene():
-    return pj.Scene(mesh=shapes.bumpy(1), spheres=pj.Spheres([[1.1, 0.9, 0.2]], [0.4]))
+    return balls([[1.1, 0.9, 0.2]], [0.4], shapes.bumpy(1))
 
 
 @pytest.mark.parametrize("radius", [0.7, 9.0])
 def test_depth_and_normals_are_those_of_hits_turned_towards_the_eye(radius):
     """Of faces wound either way, and of spheres, the eye within the larger one."""
     mesh = pj.Mesh(WALL, [FACES[0], FACES[1, ::-1]])
-    scene = pj.Scene(mesh=mesh, spheres=pj.Spheres([[0.2, 0.3, -0.4]], [radius]))
+    scene = balls([[0.2, 0.3, -0.4]], [radius], mesh)
     hit, rays = pj.trace(scene, CAMERA), pj.camera_rays(CAMERA)
     assert len(np.unique(hit.primitive)) == (3 if radius < 1 else 2)
     v = np.asarray(CAMERA.p - CAMERA.e) / np.linalg.norm(CAMERA.p - CAMERA.e)
@@ -41,7 +42,7 @@ def test_depth_and_normals_are_those_of_hits_turned_towards_the_eye(radius):
 
 
 def test_misses_and_empty_scenes_have_infinite_depth():
-    away = pj.Camera([0, 0, 5], [0, 0, 9], [0, 1, 0], 0.6, 1.0, W, H)
+    away = camera_ahead(W, H).replace(p=[0, 0, 9])
     for scene in (pj.Scene(), body(WALL, FACES)):
         assert np.all(np.isposinf(pj.depth(away, scene)))
         assert_array_equal(pj.normals(away, scene), np.zeros((H, W, 3)))
@@ -84,15 +85,11 @@ barycentric = lambda camera, scene: pj.trace(scene, camera).barycentric
 @pytest.mark.parametrize("image", first(1, [pj.depth, pj.normals, barycentric]))
 def test_gradients_equal_central_differences(image, scene):
     """By everything that moves."""
-    where = lambda x: (
-        *(x[0].e, x[0].p, x[0].u, x[0].phi),
-        *(x[1].mesh.vertices, x[1].spheres.centers, x[1].spheres.radii),
-    )
-    values, random = where((CAMERA, scene)), np.random.default_rng(1)
+    values, random = moving((CAMERA, scene)), np.random.default_rng(1)
     weight = random.normal(size=(H, W, 3))
 
     def loss(*values):  # misses (inf) count nothing
-        value = image(*eqx.tree_at(where, (CAMERA, scene), values)).reshape(H, W, -1)
+        value = image(*eqx.tree_at(moving, (CAMERA, scene), values)).reshape(H, W, -1)
         known = jnp.where(jnp.isfinite(value), value, 0)
         return jnp.sum(known * weight[..., : value.shape[-1]])
 

@@ -28,7 +28,7 @@ def setting(look_at=(0.0, 0, 0), W=30, H=24, spheres=False, phi=0.6, lens=None, 
     vertices = mesh.vertices + random.normal(0, rough, mesh.vertices.shape)
     target = np.clip(random.random((H, W)) * 1.4 - 0.2, 0, 1)
     weight = random.random((H, W)) * (random.random((H, W)) > 0.2)
-    return camera, pj.Scene(mesh=pj.Mesh(vertices, mesh.faces), spheres=balls), target, weight
+    return camera, pj.Scene(pj.Mesh(vertices, mesh.faces), spheres=balls), target, weight
 
 
 def image_jacobian(view, camera, scene):

@@ -13,13 +13,12 @@ import pytest
 from chosen import full, long
 from folders import in_trimesh
 from numpy.testing import assert_allclose, assert_array_equal
-from oracles import drawn, lump, off, turned, usual_camera
+from oracles import camera_ahead, drawn, lump, off, turned, usual_camera
 from PIL import ExifTags, Image
 from processes import python
 from refusals import pairs, refusal
-from results import degrees
+from results import degrees, fit_at
 from scipy.ndimage import binary_dilation
-from test_plot import fit_of
 
 import pinhole_jax as pj
 from pinhole_jax import __main__ as command, io
@@ -82,7 +81,7 @@ def main(words):
 @pytest.fixture
 def fitted(here, monkeypatch):
     """A fit that the command finds at once, and the arguments that it was asked with."""
-    fit, asked = fit_of(CAMERA, ("e_x",), [0.1]), []
+    fit, asked = fit_at(CAMERA, [0.1], ("e_x",)), []
 
     def fit_camera(*arguments, **more):
         asked.append((arguments, more))
@@ -425,17 +424,16 @@ def test_numbers_and_names_are_read_with_commas_and_without():
     options = parse(words.split())
     assert (options.K, options.dist) == ("90,91,47.5,40", "-0.21,0.07,0,0")
     assert (options.free, options.mesh, options.mask) == ("pose,phi,k1", "a.ply", "b.png")
-    apart = parse(["fit", "--dist", "-.2", "1e-2", "0", "0", "a.ply", "b.png", "--K", "k.yaml"])
+    words = "fit --dist -.2 1e-2 0 0 a.ply b.png --K k.yaml"
+    apart = parse(words.split())
     assert (apart.dist, apart.K, apart.mesh) == ("-.2,1e-2,0,0", "k.yaml", "a.ply")
 
 
 def rays_of(camera, phi, lens):
     """Return a picture's rays by what `fit_camera` is given."""
-    if camera is None:
-        camera = pj.Camera([0, 0, 1], [0, 0, 0], [0, 1, 0], phi, 1.0, 96, 80, lens)
-    else:
-        camera = camera.replace(e=[0, 0, 1], p=[0, 0, 0], u=[0, 1, 0])
-    return np.asarray(pj.camera_rays(camera).direction)
+    ahead = camera_ahead()
+    camera = camera or ahead.replace(phi=phi, lens=lens)
+    return np.asarray(pj.camera_rays(camera.replace(e=ahead.e, p=ahead.p, u=ahead.u)).direction)
 
 
 def test_cropped_and_resized_photos_keep_the_rays(here):
@@ -513,7 +511,7 @@ def test_errors_name_the_arguments_of_the_command(text, told):
     [("converged", 1.0, 0), ("converged", 9.0, 1), ("misfit", 9.0, 3), ("non_finite", 0.0, 3)],
 )
 def test_check_ends_with_its_finding(here, status, sigma, ended, monkeypatch, capsys):
-    fit = fit_of(CAMERA, ("e_x",), [0.01])._replace(status=status)
+    fit = fit_at(CAMERA, [0.01], ("e_x",), status=status)
     motion = pj.drift(fit, fit)._replace(sigma=sigma)
     for name, result in {"fit_camera": fit, "drift": motion}.items():
         monkeypatch.setattr(f"pinhole_jax._command.check.{name}", lambda *_, x=result, **__: x)
@@ -528,7 +526,7 @@ def test_check_of_halves_ends_with_its_finding(here, times, ended, monkeypatch, 
     def fit_camera(*_, weight=None):
         side = 0 if weight is None else 1 if weight[0, 0] else -1
         camera = CAMERA.replace(phi=CAMERA.phi + 0.001 * side)
-        return fit_of(camera, ("phi",), [0.001 * times])._replace(status="converged")
+        return fit_at(camera, [0.001 * times], ("phi",))
 
     monkeypatch.setattr("pinhole_jax._command.check.fit_camera", fit_camera)
     assert main("check truth.json bumpy.ply mask.png --split --free phi") == ended

@@ -75,7 +75,7 @@ def test_indices_out_of_range_are_left_out():
     for name in ("faces", "edge_vertices", "edge_faces"):
         broken = jax.tree.map(lambda x: x, mesh)
         object.__setattr__(broken, name, getattr(mesh, name) + (1 << 28))
-        image = drawn(EYE, pj.Scene(mesh=broken))
+        image = drawn(EYE, pj.Scene(broken))
         assert jnp.all((image >= 0) & (image <= 1))
 
 
@@ -86,7 +86,7 @@ def test_switch_chooses_arrays(tmp_path):
 import sys, numpy as np, pinhole_jax as pj
 from pinhole_jax._native.library import is_available
 spheres = pj.Spheres(np.array([[1.1, 0.9, 0.2]]), np.array([0.4]))
-scene = pj.Scene(mesh=pj.shapes.bumpy(1), spheres=spheres)
+scene = pj.Scene(pj.shapes.bumpy(1), spheres=spheres)
 camera = pj.Camera([0.3, 1, 5], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 22, 18)
 seen = pj.silhouette(camera, scene), pj.trace(scene, camera).primitive
 np.savez(sys.argv[1], available=is_available(), mask=seen[0], hits=seen[1])

@@ -26,7 +26,7 @@ def parsed(text):
 
 def a_fit(status="converged", std=(1e-3, 2e-3, np.inf), **more):
     names = ("rotation_b1", "e_x", "phi")
-    return fit_at(CAMERA, np.diag(np.square(std)), names, status=status, **more)
+    return fit_at(CAMERA, std, names, status=status, **more)
 
 
 def circles(tree):

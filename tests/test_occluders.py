@@ -7,17 +7,15 @@ import numpy as np
 import pytest
 import trimesh
 from chosen import first, full
-from oracles import body, camera_anywhere, drawn, lump, single, turned, usual_camera
-from results import degrees
+from oracles import body, camera_ahead, camera_anywhere, drawn, lump, single, turned, usual_camera
+from results import check_found, degrees, sigma
+from views import solver_of
 
 import pinhole_jax as pj
 from pinhole_jax import plot, report
 from pinhole_jax._fit.edge import Edge, OutlinePoints, matched
 from pinhole_jax._fit.refine import Refiner
-from pinhole_jax._mask.mask import Mask
 from pinhole_jax._solver.moves import canonical
-from pinhole_jax._solver.solver import Solver
-from pinhole_jax._solver.subject import Subject
 from pinhole_jax.show.outline import RED
 
 COLUMNS = np.arange(96) + 0.5
@@ -67,8 +65,7 @@ def test_visible_edge_is_enough_from_a_start():
     start = turned(truth, 10)
     fit = pj.fit_camera(SCENE, seen, start)
     check(fit, truth, wall, SCENE, seen)
-    assert fit.status == "converged"
-    assert degrees(fit, truth) < 3 * np.rad2deg(np.linalg.norm(fit.std[:3]))
+    check_found(fit, truth, 3 * sigma(fit))
     plain = pj.fit_camera(SCENE, seen, start, outlier_px=None)
     assert degrees(plain, truth) > 20
     assert plain.unbelieved is None
@@ -88,7 +85,7 @@ def test_occluder_that_mimics_another_view_is_not_called_certain(sign):
     """A box of 1 x 2 x 3; a wall leaves 1 x 2 of it: another side."""
     box = trimesh.creation.box([1.0, 2.0, 3.0])
     scene = body(box)
-    truth = pj.Camera([7.0, 0.2, 0.1], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 96, 80)
+    truth = camera_ahead().replace(e=[7.0, 0.2, 0.1])
     inside = drawn(truth, scene) > 0.5
     left, right = np.flatnonzero(inside.any(axis=0))[[0, -1]] + 0.5
     third = left + (right - left) / 3
@@ -127,9 +124,7 @@ def test_camera_that_is_turned_onto_a_cut_is_turned_back():
         )
     )
     seen = behind_a_half_plane(truth, scene, 2.7943, -82.277)
-    mask = Mask(seen, np.ones(seen.shape), camera)
-    solver = Solver.on(Subject.from_scene(scene, np.float32), mask, ("pose",), 64)
-    refiner = Refiner.on(solver, mask, 2.0, plainly=False)
+    refiner = Refiner.on(*solver_of(camera, scene, seen), 2.0, plainly=False)
     (candidate,) = refiner.proposals([canonical(camera)], -np.inf)
     assert float(np.rad2deg(pj.pose_error(candidate.found.camera, truth)[0])) < 1
 

@@ -33,6 +33,10 @@ def grown(shown):
     return binary_dilation(shown > 0.5, iterations=2)
 
 
+def fitted(mask, photo=None, **more):
+    return pj.fit_camera(SCENE, mask, START, photo=photo, **more)
+
+
 def off(fit):
     """A camera's error: degrees, and a share of the distance."""
     angle, shift = pj.pose_error(fit.camera, CAMERA)
@@ -40,8 +44,7 @@ def off(fit):
 
 
 def test_photo_corrects_a_grown_mask():
-    by_mask = pj.fit_camera(SCENE, grown(SHOWN), START)
-    fit = pj.fit_camera(SCENE, grown(SHOWN), START, photo=photo_of(SHOWN))
+    by_mask, fit = fitted(grown(SHOWN)), fitted(grown(SHOWN), photo_of(SHOWN))
     assert np.all(off(fit) < off(by_mask) / 6)
     assert fit.status == "converged"
     assert "fitted to the photo" in fit.weak[-1]
@@ -50,14 +53,13 @@ def test_photo_corrects_a_grown_mask():
     assert abs(fit.iou - np.sum(SHOWN) / np.sum(grown(SHOWN))) < 0.01
 
     floats = photo_of(SHOWN).astype(np.float32) / 255
-    again = pj.fit_camera(SCENE, grown(SHOWN), START, photo=floats)
+    again = fitted(grown(SHOWN), floats)
     assert_allclose(pj.pose_error(again.camera, fit.camera), 0, atol=1e-4)
 
 
 def test_right_mask_is_kept():
     for mask in (SHOWN, SHOWN > 0.5):
-        by_mask = pj.fit_camera(SCENE, mask, START)
-        fit = pj.fit_camera(SCENE, mask, START, photo=photo_of(SHOWN))
+        by_mask, fit = fitted(mask), fitted(mask, photo_of(SHOWN))
         assert "fitted to the mask: its edge" in fit.weak[-1]
         assert_array_equal(fit.camera.e, by_mask.camera.e)
         assert_array_equal(fit.covariance, by_mask.covariance)
@@ -65,9 +67,9 @@ def test_right_mask_is_kept():
 
 @pytest.mark.long
 def test_colours_that_tell_nothing_leave_the_mask_alone():
-    by_mask = pj.fit_camera(SCENE, grown(SHOWN), START)
+    by_mask = fitted(grown(SHOWN))
     for photo in (photo_of(SHOWN, BACK, BACK), photo_of(np.roll(SHOWN, 120, axis=1))):
-        fit = pj.fit_camera(SCENE, grown(SHOWN), START, photo=photo)
+        fit = fitted(grown(SHOWN), photo)
         assert "fitted to the mask: the photo shows" in fit.weak[-1]
         assert_array_equal(fit.camera.e, by_mask.camera.e)
 
@@ -115,7 +117,7 @@ def test_view_with_a_bad_photo_is_named():
 def test_pixels_of_zero_weight_do_not_count_in_the_photo():
     photo, mask, weight = photo_of(SHOWN), grown(SHOWN), np.ones(SHOWN.shape)
     photo[:, :80], mask[:, :80], weight[:, :80] = (220, 0, 220), False, 0
-    fit = pj.fit_camera(SCENE, mask, START, weight=weight, photo=photo)
+    fit = fitted(mask, photo, weight=weight)
     assert "fitted to the photo" in fit.weak[-1]
     assert np.all(off(fit) < [0.5, 0.01])
 
@@ -142,8 +144,5 @@ test_photos_are_checked_at_the_door = refuses(
 
 
 def test_fit_on_a_photo_is_not_differentiated():
-    def eye(target):
-        return pj.fit_camera(SCENE, target, START, photo=photo_of(SHOWN)).camera.e[0]
-
     with refusal("`photo`: expected none where the fit is differentiated"):
-        jax.grad(eye)(SHOWN)
+        jax.grad(lambda target: fitted(target, photo_of(SHOWN)).camera.e[0])(SHOWN)

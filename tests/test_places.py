@@ -6,7 +6,7 @@ import pytest
 import trimesh
 from chosen import full
 from oracles import body, drawn, lump, normal, single, turned, usual_camera
-from results import degrees
+from results import check_found, degrees
 
 import pinhole_jax as pj
 from pinhole_jax._numerics import threads
@@ -88,8 +88,7 @@ def test_noisy_mask_is_explained(clipped):
         noise = 0.02 * normal(image.shape, seed)
         target = np.clip(image + noise, 0, 1) if clipped else image + noise
         fit = pj.fit_camera(scene, target, turned(CAMERA, 8))
-        assert fit.status == "converged"
-        assert degrees(fit, CAMERA) < 1
+        check_found(fit, CAMERA, 1)
 
 
 def test_noisy_mask_of_a_box_is_as_ambiguous_as_an_exact_one():

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import jax
 import jax.numpy as jnp
 import numpy as np
-from oracles import lump, usual_camera
+from oracles import drawn, lump, usual_camera
 from refusals import refusal
 
 import pinhole_jax as pj
@@ -16,6 +16,7 @@ from pinhole_jax._files.progress import Ticker, say, shown
 
 CAMERA = usual_camera(48, 40)
 SCENE = lump(2)
+MASK = drawn(CAMERA, SCENE) > 0.5
 
 
 def test_line_comes_often_where_there_is_no_terminal(monkeypatch, capsys):
@@ -38,18 +39,16 @@ def test_quick_work_shows_nothing(capsys):
 
 def test_fit_tells_what_goes_on_and_how_long_it_took(monkeypatch, capsys):
     monkeypatch.setattr(progress, "SHORT", 0.0)
-    mask = np.asarray(pj.silhouette(CAMERA, SCENE)) > 0.5
-    assert pj.fit_camera(SCENE, mask, CAMERA).status == "converged"
+    assert pj.fit_camera(SCENE, MASK, CAMERA).status == "converged"
     assert capsys.readouterr().err == ""
-    pj.fit_camera(SCENE, mask, CAMERA, progress=True)
+    pj.fit_camera(SCENE, MASK, CAMERA, progress=True)
     assert capsys.readouterr().err.splitlines()[-1].startswith("fitting: ")
 
 
 def test_fit_names_its_stages():
-    mask = np.asarray(pj.silhouette(CAMERA, SCENE)) > 0.5
     stages = []
     with progress.listening(stages.append):
-        pj.fit_camera(SCENE, mask, CAMERA)
+        pj.fit_camera(SCENE, MASK, CAMERA)
     assert "fitting from the start" in stages
 
 

@@ -5,10 +5,10 @@ import tracemalloc
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from oracles import camera_ahead
 from scipy.spatial.distance import cdist
 from skimage.segmentation import find_boundaries
 
-import pinhole_jax as pj
 from pinhole_jax._mask.edges import edge_band
 from pinhole_jax._mask.kinds import kind_of
 from pinhole_jax._mask.mask import Mask
@@ -40,9 +40,7 @@ def test_large_photo_takes_no_image_of_floats(bits):
     soft = disc(1500, 2000)
     target = soft > 0.5 if bits == 1 else np.uint8(255 * soft)
     ones = np.broadcast_to(1.0, target.shape)
-    mask = Mask(
-        target, ones, pj.Camera([0.0, 0, 4], [0.0, 0, 0], [0.0, 1, 0], 0.6, 1.0, 2000, 1500)
-    )
+    mask = Mask(target, ones, camera_ahead(2000, 1500))
     steps = {
         "window": lambda: object_window(target),
         "kind": lambda: kind_of(target, ones, np.float32),

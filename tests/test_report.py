@@ -10,7 +10,8 @@ import pytest
 from oracles import off
 from PIL import Image
 from refusals import refusal
-from test_plot import AHEAD, SQUARE, fit_of, way_to
+from results import fit_at
+from test_plot import AHEAD, SQUARE, way_to
 
 import pinhole_jax as pj
 from pinhole_jax import formats, report
@@ -20,10 +21,15 @@ from pinhole_jax.show.trust import COLOURS
 NAMES = ("rotation_b2", "e_x", "e_z")
 MASK = np.zeros((80, 96), bool)
 MASK[15:66, 25:76] = True  # some px too far right
-FIT = fit_of(AHEAD, NAMES, [1e-4, 5e-4, np.inf], way_to(AHEAD))._replace(
-    weak=("the distance against <the focal length> is not visible",), status="rank_deficient"
+FIT = fit_at(
+    AHEAD,
+    [1e-4, 5e-4, np.inf],
+    NAMES,
+    history=way_to(AHEAD),
+    weak=("the distance against <the focal length> is not visible",),
+    status="rank_deficient",
 )
-BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome", "chrome")
+BROWSERS = "chromium-headless-shell chromium chromium-browser google-chrome chrome"
 
 
 def page_of(text):
@@ -53,17 +59,9 @@ def text(tmp_path_factory):
 
 def test_page_has_all_sections_and_loads_nothing(text):
     page = page_of(text)
-    assert [section.get("id") for section in page.iter("section")] == [
-        "outline",
-        "where-the-error-shows",
-        "where-mask-and-camera-differ",
-        "parameters",
-        "correlations",
-        "what-the-mask-leaves-open",
-        "convergence",
-        "object-and-camera",
-        "the-camera-for-other-programs",
-    ]
+    sections = """outline where-the-error-shows where-mask-and-camera-differ parameters correlations
+        what-the-mask-leaves-open convergence object-and-camera the-camera-for-other-programs"""
+    assert [section.get("id") for section in page.iter("section")] == sections.split()
     assert not [*page.iter("script"), *page.iter("link")]
     for tag in (*page.iter("img"), *page.iter("a")):
         assert tag.get("src", tag.get("href")).startswith("data:")
@@ -119,8 +117,8 @@ def test_page_holds_the_camera_in_all_formats(text, tmp_path):
 
 @pytest.mark.long
 def test_page_names_formats_that_cannot_hold_the_camera():
-    camera = pj.Camera(AHEAD.e, AHEAD.p, AHEAD.u, 0.6, 1.0, 96, 80, pj.Lens([40.0, 40], 1.0))
-    page = page_of(report.page(fit_of(camera, ("e_x",), [1e-3]), SQUARE, MASK))
+    camera = AHEAD.replace(lens=pj.Lens([40.0, 40], 1.0))
+    page = page_of(report.page(fit_at(camera, [1e-3], ("e_x",)), SQUARE, MASK))
     assert "camera.gltf" not in [a.get("download") for a in page.iter("a")]
     assert "principal point" in words(page, "the-camera-for-other-programs")
     assert "were not recorded" in words(page, "convergence")
@@ -140,9 +138,9 @@ BANDS = [tuple(bytes.fromhex(colour[1:])) for colour in COLOURS]
 
 @pytest.mark.long
 def test_browser_shows_the_page(text, tmp_path):
-    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
+    browser = next(filter(None, map(shutil.which, BROWSERS.split())), None)
     if browser is None:
-        pytest.skip(f"no browser: none of {', '.join(BROWSERS)} is installed")
+        pytest.skip(f"no browser: none of {BROWSERS} is installed")
     # A script of the test's own writes down what the browser made of the page.
     measure = """<script>onload=()=>{const r=document.documentElement,
       i=[...document.images].map(x=>x.naturalWidth>0&&x.getBoundingClientRect().width>300),
@@ -152,10 +150,10 @@ def test_browser_shows_the_page(text, tmp_path):
         r.scrollWidth<=innerWidth,g.width>400&&g.height>150].join()}</script>"""
     path = tmp_path / "page.html"
     path.write_text(text.replace("</body>", measure + "</body>"), encoding="utf-8")
-    common = (browser, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars")
-    size = ("--window-size=1000,4800", f"--user-data-dir={tmp_path / 'user'}")
+    common = "--headless --no-sandbox --disable-gpu --hide-scrollbars --window-size=1000,4800"
+    given = browser, *common.split(), f"--user-data-dir={tmp_path / 'user'}"
     ask = lambda what: subprocess.run(
-        [*common, *size, what, path.as_uri()], capture_output=True, timeout=120, check=True
+        [*given, what, path.as_uri()], capture_output=True, timeout=120, check=True
     )
     assert b'<body id="3,true,9,true,true,true">' in ask("--dump-dom").stdout
     ask(f"--screenshot={tmp_path / 'page.png'}")

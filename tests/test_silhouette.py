@@ -15,8 +15,10 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from oracles import (
     QUAD,
+    balls,
     body,
     camera_ahead,
+    cast,
     coverage,
     filled,
     mesh_coverage,
@@ -32,7 +34,7 @@ import pinhole_jax as pj
 from pinhole_jax import shapes
 
 W, H = 64, 48
-SHARED = ["bob.obj", "counter.stl", "cycloidal.ply", "spot.obj", "suzanne.ply", "teapot.obj"]
+SHARED = "bob.obj counter.stl cycloidal.ply spot.obj suzanne.ply teapot.obj"
 
 
 def gentle(seed=0):
@@ -101,19 +103,17 @@ MESHES = {
 def cameras(number, dtype=float, W=W, H=H):
     """Return cameras from within to far; some look past the object, some see a part."""
     random = default_rng(5)
-    from_origin = ([0, 0, 0], [1, 0, 1], [0, 1, 0], 1.9, 1.0)
-    yield pj.Camera(*(np.asarray(x, dtype) for x in from_origin), W, H)
+    yield cast(pj.Camera([0, 0, 0], [1, 0, 1], [0, 1, 0], 1.9, 1.0, W, H), dtype)
     for k in range(number - 1):
         direction = random.normal(size=3)
         eye = direction / np.linalg.norm(direction) * [4, 1.3, 2, 0.4, 6][k % 5]
         aim = random.normal(size=3) * [0.3, 0.8, 0.6, 0.5, 0.1][k % 5]
         phi = [0.6, 1.2, 0.8, 1.6, 0.5][k % 5]
-        arrays = (np.asarray(x, dtype) for x in (eye, aim, random.normal(size=3), phi, 1.0))
-        yield pj.Camera(*arrays, W, H)
+        yield cast(pj.Camera(eye, aim, random.normal(size=3), phi, 1.0, W, H), dtype)
 
 
 def in_scene(vertices, faces):
-    return pj.Scene(mesh=filled(vertices, faces, max(20_000, len(vertices), len(faces))))
+    return pj.Scene(filled(vertices, faces, max(20_000, len(vertices), len(faces))))
 
 
 def check(camera, scene, tolerance):
@@ -137,7 +137,7 @@ def test_closed_meshes_match_the_polygon_union(seed, kind, of_mesh, lens):
     """Types mix, and the camera's decides."""
     vertices, faces = gentle(seed)
     camera = random_camera(default_rng(seed), 40, 32).replace(lens=lens)
-    camera = jax.tree.map(lambda x: x.astype(kind), camera)
+    camera = cast(camera, kind)
     close = 1e-9 if kind == of_mesh == "float64" else 1e-4
     image = check(camera, body(vertices.astype(of_mesh), faces), close)
     assert image.dtype == kind
@@ -155,7 +155,7 @@ def test_open_and_overlapping_meshes_match_the_polygon_union(name, dtype, exhaus
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", SHARED)
+@pytest.mark.parametrize("name", SHARED.split())
 def test_real_meshes_match_the_polygon_union(name, shared, exhaustive):
     mesh = pj.load_mesh(shared / "meshes" / name)
     vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces)
@@ -184,16 +184,16 @@ def test_spheres_match_their_outlines(name, mixed):
     """(Where there are less than three, others are out of sight.)"""
     centers, radii = SPHERES[name]
     rest = range(3 - len(radii))
-    spheres = pj.Spheres([*centers, *([9.0, k, 0] for k in rest)], [*radii, *(1.0 for _ in rest)])
+    spheres = [*centers, *([9.0, k, 0] for k in rest)], [*radii, *(1.0 for _ in rest)]
     camera = camera_ahead(W, H).replace(phi=0.9)
-    check(camera, pj.Scene(mesh=pj.Mesh(*soup(20)) if mixed else None, spheres=spheres), 1e-6)
+    check(camera, balls(*spheres, pj.Mesh(*soup(20)) if mixed else None), 1e-6)
 
 
 @pytest.mark.long
 def test_eye_inside_a_closed_body_sees_nothing_else():
     camera = pj.Camera([0.1, 0, 0.2], [0, 1, 0], [0, 0, 1], 0.9, W=W, H=H)
-    spheres = pj.Spheres([[0, 0, 0], [0, 3, 0], [1, 1, 0]], [0.5, 0.1, 0.2])
-    for scene in (pj.Scene(spheres=spheres), in_scene(*noisy_sphere())):
+    spheres = balls([[0, 0, 0], [0, 3, 0], [1, 1, 0]], [0.5, 0.1, 0.2])
+    for scene in (spheres, in_scene(*noisy_sphere())):
         assert_array_equal(pj.silhouette(camera, scene), 1)
 
 
@@ -206,11 +206,11 @@ def test_pixel_that_holds_everything_is_resolved(size, copies, triangles):
     """Hundreds of pieces, which arrays cut until few are left; and more of them than arrays list at
     once, which are copies."""
     vertices, faces = soup(triangles)
-    camera = pj.Camera([0, 0, 30], [0, 0, 0], [0, 1, 0], 0.3, 1.0, *size)
+    camera = camera_ahead(*size).replace(e=[0, 0, 30], phi=0.3)
     every = np.tile(vertices, (copies, 1))
-    mesh = pj.Mesh(every, np.arange(len(every)).reshape(-1, 3))
+    scene = body(every, np.arange(len(every)).reshape(-1, 3))
     expected = mesh_coverage(camera, vertices, faces)
-    assert_allclose(pj.silhouette(camera, pj.Scene(mesh=mesh)), expected, atol=1e-9)
+    assert_allclose(pj.silhouette(camera, scene), expected, atol=1e-9)
 
 
 def quadrilaterals(w, h, number):
@@ -236,17 +236,15 @@ def test_polygons_have_their_exact_area_in_each_pixel():
     middle, phi = np.array([w / 2, h / 2, 0]), 2 * np.arctan(h / 8)
     camera = pj.Camera(middle + np.array([0, 0, 4]), middle, [0, 1, 0], phi, W=w, H=h)
     for size, corners in quadrilaterals(w, h, 60):
-        mesh = pj.Mesh(np.pad(corners, ((0, 0), (0, 1))), QUAD)
         expected = union_per_pixel([shapely.Polygon(corners)], w, h)
-        image = pj.silhouette(camera, pj.Scene(mesh=mesh))
+        image = pj.silhouette(camera, body(np.pad(corners, ((0, 0), (0, 1))), QUAD))
         assert_allclose(image, expected, atol=1e-9 if size > 10 else 1e-13)
 
 
 def check_float32(cameras, scene, tolerance):
     """Assert that masks in float32 are about those of the same numbers in float64."""
     for camera in cameras:
-        wide = jax.tree.map(lambda x: x.astype(float) if x.dtype.kind == "f" else x, scene)
-        expected = pj.silhouette(jax.tree.map(lambda x: x.astype(float), camera), wide)
+        expected = pj.silhouette(*cast((camera, scene), float))
         assert_allclose(pj.silhouette(camera, scene), expected, atol=tolerance)
 
 
@@ -289,8 +287,7 @@ def moving(view):
 @pytest.fixture(scope="module")
 def mixed():
     camera = pj.Camera([0.3, 0.4, 4], [0, 0, 0], [0.1, 1, 0], 0.6, W=24, H=18)
-    balls = pj.Spheres([[0.4, 0.3, 0.2], [-0.3, 0.1, 0.5]], [0.3, 0.35])
-    return camera, pj.Scene(mesh=pj.Mesh(*soup(12)), spheres=balls)
+    return camera, balls([[0.4, 0.3, 0.2], [-0.3, 0.1, 0.5]], [0.3, 0.35], pj.Mesh(*soup(12)))
 
 
 @jax.jit

@@ -12,7 +12,7 @@ import cv2
 import equinox as eqx
 import numpy as np
 import pytest
-from folders import in_trimesh
+from folders import in_trimesh, triangles_of
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from oracles import drawn, lump, off
@@ -234,22 +234,17 @@ def test_page_gets_mesh_and_photo(workpiece, scene):
     centre, (points, faces) = np.frombuffer(data, "<f8", 3), np.frombuffer(data, "<u4", 2, 24)
     vertices = np.frombuffer(data, "<f4", 3 * points, 32).reshape(-1, 3) + centre
     triangles = np.frombuffer(data, "<u4", 3 * faces, 32 + 12 * points).reshape(-1, 3)
-    assert_allclose(
-        vertices[triangles],
-        np.asarray(scene.mesh.vertices)[np.asarray(scene.mesh.faces)],
-        atol=1e-6,
-    )
+    assert_allclose(vertices[triangles], triangles_of(scene.mesh), atol=1e-6)
     assert Image.open(BytesIO(photo_file(workpiece))).size == (W, H)
 
 
 # A session.
 
 
-@pytest.fixture
-def kept(bench):
-    """A session as its file holds it."""
-    (path,) = do(bench, "save", name="work", free=["pose"])["written"]
-    return json.loads(Path(path).read_text())
+def saved(bench, *free):
+    """The text of a session's file."""
+    (path,) = do(bench, "save", name="work", free=free)["written"]
+    return Path(path).read_text()
 
 
 def stroke(**changes):
@@ -276,9 +271,10 @@ def stroke(**changes):
         "`line`: expected 4 finite numbers": {"lines": [[1, 2]]},
     },
 )
-def test_bad_session_is_refused_by_name(bench, kept, changes, words):
+def test_bad_session_is_refused_by_name(bench, changes, words):
+    text = json.dumps({**json.loads(saved(bench, "pose")), **changes})
     with refusal(words) as caught:
-        do(bench, "open", text=json.dumps({**kept, **changes}), name="some.json")
+        do(bench, "open", text=text, name="some.json")
     assert "some.json" in str(caught.value)
 
 
@@ -340,7 +336,7 @@ def test_view_guides_the_guess(bench, mask):
     assert {guide["kind"] for guide in told["guides"]} == {"object", "background"}
     assert overlap(bench.mask, mask > 0.5) > 0.97
     assert not do(bench, "undo")["png"]
-    put(bench, camera=pj.Camera([0, 0, 50], [0, 0, 99], [0, 1, 0], 0.6, 1.0, W, H))
+    put(bench, camera=camera().replace(p=[0, 0, 99]))
     with refusal("the object is not in the picture"):
         do(bench, "view_guides")
 
@@ -426,8 +422,7 @@ def test_fit_that_holds_an_assumed_field_of_view_is_not_converged(unsaid, way):
         do(unsaid, "lens", phi_degrees=36.0)
         words = "field of view assumed: 36.0 degrees"
     if way == "session":
-        (path,) = do(unsaid, "save", name="work", free=["pose"])["written"]
-        do(unsaid, "open", text=Path(path).read_text())
+        do(unsaid, "open", text=saved(unsaid, "pose"))
     if way == "earlier fit":
         told = do(unsaid, "fit", free=unsaid.session.free)
         assert (told["fit"]["status"], told["view"]["phi_is_assumed"]) == ("converged", False)
@@ -441,7 +436,7 @@ def test_fit_that_holds_an_assumed_field_of_view_is_not_converged(unsaid, way):
 
 
 def test_modes_are_chosen_by_number(bench):
-    best = fit_at(camera(), 1e-6 * np.eye(7))._replace(status="ambiguous")
+    best = fit_at(camera(), np.full(7, 1e-3), status="ambiguous")
     bench.fits = best, best._replace(camera=camera(e=(-1, 0, 5)), iou=0.9)
     told = do(bench, "mode", number=1)["fit"]
     assert (told["modes"], told["chosen"], told["status"]) == ([best.iou, 0.9], 1, "ambiguous")
@@ -464,8 +459,7 @@ def test_session_goes_on_in_another_tab(fitted, tmp_path):
     do(fitted, "stroke", kind="erase", radius_px=2, points=[[30, 30]])
     do(fitted, "straight", grid=True, line=[[1, 2], [3, 40]])
     put(fitted, camera=camera(BENT))
-    (path,) = do(fitted, "save", name="work", free=["pose", "phi"])["written"]
-    other, text = begun(fitted.workpiece, tmp_path), Path(path).read_text()
+    other, text = begun(fitted.workpiece, tmp_path), saved(fitted, "pose", "phi")
     do(other, "stroke", kind="add", radius_px=2, points=[[1, 1]])
     told = do(other, "open", text=text)
     assert_array_equal(other.mask, fitted.mask)

@@ -7,7 +7,7 @@ import pytest
 from chosen import full
 from folders import in_trimesh
 from numpy.testing import assert_allclose, assert_array_equal
-from oracles import body, lump, random_rays, usual_camera
+from oracles import balls, body, lump, random_rays, single, usual_camera
 from refusals import refusal
 
 import pinhole_jax as pj
@@ -26,7 +26,7 @@ def test_same_hits_as_embree(name, request):
     else:
         mesh = pj.load_mesh(request.getfixturevalue("shared") / "meshes" / name)
     rays = pj.Rays(*random_rays(1500))
-    hit = pj.trace(pj.Scene(mesh=mesh), rays)
+    hit = pj.trace(pj.Scene(mesh), rays)
     origin, direction = (np.asarray(x) for x in rays)
     peer = RayMeshIntersector(in_trimesh(mesh))
     places, which, faces = peer.intersects_location(origin, direction, multiple_hits=False)
@@ -76,10 +76,10 @@ BY_HAND = np.loadtxt(
 
 
 def test_hits_are_those_worked_out_by_hand():
-    spheres = pj.Spheres([[-5.0, 0, 0], [-5, 0, -5], [0.3, 1.0, 0]], [1.0, 1.0, 0.5])
+    scene = balls([[-5.0, 0, 0], [-5, 0, -5], [0.3, 1.0, 0]], [1.0, 1.0, 0.5], TRIANGLE)
     origin, direction, t, primitive, normal = np.split(BY_HAND, [3, 6, 7, 8], axis=1)
     rays = pj.Rays(jnp.array(origin), jnp.array(direction))
-    hit = pj.trace(pj.Scene(mesh=TRIANGLE, spheres=spheres), rays)
+    hit = pj.trace(scene, rays)
     assert_allclose(hit.t, t[:, 0], rtol=1e-12)
     assert_array_equal(hit.primitive, primitive[:, 0])
     assert_allclose(hit.normal, normal, atol=1e-12)
@@ -94,14 +94,14 @@ def test_small_spheres_far_away_keep_their_digits_in_float32(distance):
     # The textbook discriminant b^2 - 4ac loses them all from a distance of some 1e3 radii.
     origin = jnp.array([0.3, 0.4, distance], jnp.float32)
     rays = pj.Rays(origin, jnp.array([0, 0, -1], jnp.float32))
-    scene = pj.Scene(spheres=pj.Spheres(np.zeros((1, 3), np.float32), np.ones(1, np.float32)))
+    scene = single(balls([[0.0, 0, 0]], [1.0]))
     exact = distance - np.sqrt(0.75)
     assert_allclose(pj.trace(scene, rays).t, exact, rtol=2e-7)
 
 
 @pytest.mark.long
 def test_shapes_follow_the_rays_and_no_rays_give_no_hits():
-    scene, down = pj.Scene(mesh=TRIANGLE), jnp.array([0.0, 0, -1])
+    scene, down = pj.Scene(TRIANGLE), jnp.array([0.0, 0, -1])
     t = lambda origin: pj.trace(scene, pj.Rays(origin, down)).t
     assert_allclose(jax.vmap(t)(jnp.array([[0.5, 0.25, 4], [0.1, 0.1, 5]])), [4, 5])
     assert pj.trace(scene, pj.Rays(jnp.zeros(3), jnp.zeros((2, 0, 3)))).t.shape == (2, 0)
@@ -111,7 +111,7 @@ def test_shapes_follow_the_rays_and_no_rays_give_no_hits():
 
 @pytest.mark.long
 def test_camera_stands_for_its_rays():
-    scene = pj.Scene(mesh=shapes.bumpy(1), spheres=pj.Spheres([[1.1, 0.9, 0.2]], [0.4]))
+    scene = balls([[1.1, 0.9, 0.2]], [0.4], shapes.bumpy(1))
     for lens in (None, pj.Lens([11.0, 7.0], 1.1, pj.BrownConrady(k1=-0.1))):
         view = CAMERA.replace(lens=lens)
         seen, traced = pj.trace(scene, view), pj.trace(scene, pj.camera_rays(view))

@@ -10,7 +10,7 @@ import pytest
 from chosen import first
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
-from oracles import CORNERS, QUAD, body, lump, random_rays
+from oracles import CORNERS, QUAD, balls, body, lump, random_rays
 
 import pinhole_jax as pj
 from pinhole_jax import shapes
@@ -93,7 +93,7 @@ def test_hits_in_soups_are_those_by_arrays(dtype, exhaustive):
         def scene_of(vertices, faces=faces):
             """One mesh's arrays are replaced: what is compiled serves all trials."""
             arrays = jnp.asarray(vertices), jnp.asarray(faces, "int32")
-            return pj.Scene(mesh=eqx.tree_at(lambda m: (m.vertices, m.faces), base, arrays))
+            return pj.Scene(eqx.tree_at(lambda m: (m.vertices, m.faces), base, arrays))
 
         camera = pj.Camera(e, p, u.astype(dtype), np.dtype(dtype).type(phi), 1.0, W, H)
         origin, direction = (np.asarray(x) for x in pj.camera_rays(camera))
@@ -115,7 +115,7 @@ def test_faces_and_spheres_are_hit_as_by_arrays(faces, dtype):
     random, whole = default_rng(1), shapes.bumpy(3)
     mesh = pj.Mesh(np.asarray(whole.vertices, dtype), np.asarray(whole.faces)[:faces])
     centers, radii = random.normal(size=(5, 3)), random.uniform(0.1, 0.3, 5)
-    scene = pj.Scene(mesh=mesh, spheres=pj.Spheres(centers.astype(dtype), radii.astype(dtype)))
+    scene = balls(centers.astype(dtype), radii.astype(dtype), mesh)
     rays = random_rays(1001, dtype)
     ours = np.asarray(walked(scene, *rays))
     assert_array_equal(ours, by_arrays(scene, *rays))
@@ -131,7 +131,7 @@ def test_rays_on_many_threads_hit_the_same():
 
 
 def resized(mesh, size):
-    return pj.Scene(mesh=eqx.tree_at(lambda m: m.vertices, mesh, size * mesh.vertices))
+    return pj.Scene(eqx.tree_at(lambda m: m.vertices, mesh, size * mesh.vertices))
 
 
 def test_batches_are_their_members():
@@ -148,15 +148,14 @@ def test_equally_near_faces_are_the_first():
     wall = pj.Mesh(CORNERS, QUAD * 40)
     random = default_rng(0)
     origin = jnp.asarray(random.uniform(-0.9, 0.9, (200, 3)) + np.array([0, 0, 3]))
-    met = walked(pj.Scene(mesh=wall), origin, jnp.tile(jnp.array([0, 0, -1.0]), (200, 1)))
+    met = walked(pj.Scene(wall), origin, jnp.tile(jnp.array([0, 0, -1.0]), (200, 1)))
     assert {*np.asarray(met).tolist()} == {0, 1}
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300, 1e-300, 5e-324, 0.0])
 def test_hostile_numbers_end_in_answers(value):
     random = default_rng(0)
-    balls = pj.Spheres(random.normal(size=(40, 3)), np.full(40, 0.1))
-    scene = pj.Scene(mesh=shapes.bumpy(2), spheres=balls)
+    scene = balls(random.normal(size=(40, 3)), np.full(40, 0.1), shapes.bumpy(2))
     for share in (0.02, 1.0):
         spoil = lambda x, share=share: jnp.where(random.random(x.shape) < share, value, x)
         parts = lambda s: (s.mesh.vertices, s.spheres.centers, s.spheres.radii)
@@ -172,7 +171,7 @@ def test_vertex_gone_astray_hides_nothing():
     faces = np.append(mesh.faces, [[0, 1, len(mesh.vertices)]], axis=0)
     ours = np.asarray(walked(body(astray, faces), *rays))
     same = ours < len(mesh.faces)
-    assert_array_equal(ours[same], np.asarray(walked(pj.Scene(mesh=mesh), *rays))[same])
+    assert_array_equal(ours[same], np.asarray(walked(pj.Scene(mesh), *rays))[same])
     assert np.mean(same) > 0.9
 
 
@@ -181,7 +180,7 @@ def test_rays_from_far_away_end_soon(distance):
     """Without digits for where they pass, but not by looking at everything."""
     mesh = shapes.bumpy(5)
     origin = distance * random_rays(20_000)[0]
-    met = np.asarray(walked(pj.Scene(mesh=mesh), origin, -origin))
+    met = np.asarray(walked(pj.Scene(mesh), origin, -origin))
     assert np.all(met >= -1)
     assert distance > 1e9 or np.all(met >= 0)
 
@@ -193,7 +192,7 @@ def test_kept_trees_are_of_what_arrays_hold():
     assert all(np.any(a != b) for a, b in pairwise(first))
     assert_array_equal(first, again)
     loose = np.array(mesh.vertices)
-    scene = pj.Scene(mesh=eqx.tree_at(lambda m: m.vertices, mesh, loose))
+    scene = pj.Scene(eqx.tree_at(lambda m: m.vertices, mesh, loose))
     for size in (0.5, 3.0):
         loose *= size  # a half, and then three halves
         assert_array_equal(pj.trace(scene, pj.Rays(*rays)).primitive, first[0 if size < 1 else -1])

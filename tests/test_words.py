@@ -1,21 +1,17 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from oracles import camera_ahead, central_difference, normal
-from results import fit_at
+from oracles import camera_ahead, central_difference, normal, usual_camera
+from results import NAMES, fit_at
 
 import pinhole_jax as pj
-from pinhole_jax._fit.words import parameter_table
 from pinhole_jax._solver.heading import heading
-from pinhole_jax._solver.moves import displaced
-
-TURNS = ("rotation_b1", "rotation_b2", "rotation_v")
 
 
 def test_fit_prints_as_a_table():
     camera = pj.Camera([1, 2, 5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 64, 48)
     names = ("rotation_b1", "e_x", "phi")
-    other = fit_at(camera, np.diag([1e-6, 1e-8, 1e-10]), names)
+    other = fit_at(camera, [1e-3, 1e-4, 1e-5], names)
     fit = other._replace(status="ambiguous", weak=("the distance",), modes=(other,))
     lines = str(fit).splitlines()
     assert [line.split() for line in lines[1:4]] == [
@@ -35,34 +31,32 @@ def test_fit_prints_as_a_table():
     assert repr(fit) == "<Fit: ambiguous, IoU 0.9900, rotation_b1, e_x, phi>"
 
 
-@pytest.mark.parametrize(
-    "forward, up, angles, axes",
-    [
-        ([0, 0, -1], [0, 1, 0], (0, 180, 0), "+y+z"),
-        ([0, 1, 0], [0, 0, 1], (0, 90, 0), "+z+x"),  # anticlockwise from above
-        ([2, 0, 1], [0, 0, 1], (np.rad2deg(np.arctan(0.5)), 0, 0), "+z+x"),  # up
-        ([1, 0, 0], [0, -0.5, 1], (0, 0, np.rad2deg(np.arctan(0.5))), "+z+x"),
-        ([1, 0, 0], [0, 0.1, -1], (0, 0, np.rad2deg(np.arctan(0.1))), "-z+x"),
-        ([0, 0, -1], [1, 0, 0], (0, -90, 0), "+x+y"),
-    ],
-)
-def test_pitch_yaw_and_roll(forward, up, angles, axes):
-    looks = heading(pj.Camera([0, 0, 0], forward, up, 0.6, 1.0, 64, 48))
+#: Forward, up, pitch, yaw and roll, the axes up and ahead.
+LOOKS = """
+    0 0 -1   0  1    0    0                 180   0                 +y+z
+    0 1  0   0  0    1    0                  90   0                 +z+x  # anticlockwise from above
+    2 0  1   0  0    1   26.56505117707799    0   0                 +z+x  # up, by atan(1/2)
+    1 0  0   0 -0.5  1    0                   0  26.56505117707799  +z+x
+    1 0  0   0  0.1 -1    0                   0   5.710593137499643 -z+x  # by atan(1/10)
+    0 0 -1   1  0    0    0                 -90   0                 +x+y
+"""
+
+
+@pytest.mark.parametrize("row", LOOKS.strip().splitlines())
+def test_pitch_yaw_and_roll(row):
+    *numbers, axes = row.partition("#")[0].split()
+    forward, up, angles = np.array(numbers, float).reshape(3, 3)
+    looks = heading(camera_ahead().replace(e=0 * up, p=forward, u=up))
     assert_allclose(np.rad2deg(looks.angles), angles, atol=1e-9)
     assert looks.up + looks.ahead == axes
 
 
-def random_camera(random):
-    e, p, u = random.normal(size=(3, 3)) + np.array([[0, 0, 4], [0, 0, 0], [0, 0, 0]])
-    return pj.Camera(e, p, u, 0.6, 1.0, 64, 48)
-
-
 def test_rotations_have_values_and_sigmas():
-    camera = pj.Camera([1, 2, 5], [0, 0, 0], [0.3, 1, 0], 0.6, 1.0, 64, 48)
-    root, names = 1e-3 * normal((4, 4)), (*TURNS, "e_x")
-    rows = parameter_table(fit_at(camera, root @ root.T, names)).rows
+    root = 1e-3 * normal((4, 4))
+    fit = fit_at(usual_camera(64, 48), root @ root.T, NAMES[:4])
+    rows = fit.parameters.rows
     assert [row.name for row in rows] == ["pitch", "yaw", "roll", "e_x"]
-    angles = lambda step: np.rad2deg(heading(displaced(camera, names, step)).angles)
+    angles = lambda step: np.rad2deg(heading(fit.displaced(step)).angles)
     spread = central_difference(angles, np.zeros(4)) @ root
     assert_allclose([row.std for row in rows[:3]], np.linalg.norm(spread, axis=1), rtol=1e-5)
     assert_allclose([row.value for row in rows[:3]], angles(np.zeros(4)))
@@ -72,7 +66,7 @@ def test_displaced_camera_is_a_step_of_each_parameter_away():
     lens = pj.Lens([40, 30], 1.1)
     camera = camera_ahead().replace(lens=lens)
     names = ("rotation_b2", "e_x", "phi", "principal_x", "principal_y", "aspect")
-    fit = fit_at(camera, np.diag([1e-4, 0.04, 9e-4, 1, 1, 1e-4]), names)
+    fit = fit_at(camera, [0.01, 0.2, 0.03, 1, 1, 0.01], names)
     moved = fit.displaced([0.01, 0.2, 0.03, 0.5, 0.25, 0.1])
     off = [*pj.pose_error(moved, camera), moved.phi, *moved.lens.principal_point, moved.lens.aspect]
     assert [*map(float, off)] == pytest.approx([0.01, 0.2, 0.63, 40.5, 30.25, 1.2])

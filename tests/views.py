@@ -1,22 +1,33 @@
-"""Views of a fit, as its solver takes them, without the solver."""
+"""The solver of a mask, and views of a fit as it takes them, without it."""
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
+from oracles import cast
 
+from pinhole_jax._mask.mask import Mask
 from pinhole_jax._native.library import is_available
 from pinhole_jax._scene.scene import Ball
 from pinhole_jax._solver import looks
 from pinhole_jax._solver.priors import no_prior
 from pinhole_jax._solver.problem import Problem
+from pinhole_jax._solver.solver import Solver
+from pinhole_jax._solver.subject import Subject
 
 FREE = ("pose", "phi")
 
 
+def solver_of(camera, scene, shown):
+    """The solver of a pose by a mask, in float32, and the mask."""
+    mask = Mask(shown, np.ones(shown.shape), camera)
+    return Solver.on(Subject.from_scene(scene, np.float32), mask, ("pose",), 64), mask
+
+
 def problem_of(scene, data):
     real = data.cells.dtype
-    scene = jax.tree.map(lambda x: x.astype(real) if x.dtype.kind == "f" else x, scene)
+    scene = cast(scene, real)
     ball = Ball(jnp.zeros(3, real), jnp.ones((), real))
     return Problem(scene, jax.device_put(data), ball, None, no_prior(FREE, real))
 
