@@ -17,7 +17,6 @@ import os
 import re
 import resource
 import signal
-import subprocess
 import sys
 import tempfile
 import time
@@ -30,6 +29,7 @@ import jax
 import numpy as np
 import trimesh
 from PIL import Image
+from processes import python
 
 atheris = None
 with contextlib.suppress(ModuleNotFoundError):
@@ -63,8 +63,7 @@ with watched():
         getattr(pj, part)
 
 GB, SECONDS = 1 << 30, 5.0
-WORDS = [b"nan", b"-1", b"0", b"1e400", b"1e300", b"1.7", b"99999999999", b"9" * 5000, b"", b"-",
-         b"null", b"[]", b"{}", b"'", b"\xff"]  # fmt: skip
+WORDS = [*b"nan -1 0 1e400 1e300 1.7 99999999999 - null [] {} ' \xff".split(), b"9" * 5000, b""]
 TOKEN = re.compile(rb"[\w.+-]+|[^\w\s]")
 CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
 URDF = b"""<robot name="r"><link name="a"><visual><geometry><box size="1 1 1"/></geometry></visual>
@@ -116,7 +115,7 @@ def targets(folder):
         for path in sorted(whole.iterdir()) if whole.is_dir() else [whole]:
             name = f"{form} {path.stem}"
             found[name] = Target(str(path.relative_to(folder)), read, [path.read_bytes()])
-    mask = np.asarray(pj.silhouette(CAMERA, pj.Scene(mesh=pj.shapes.bumpy(1))))
+    mask = np.asarray(pj.silhouette(CAMERA, pj.Scene(pj.shapes.bumpy(1))))
     for kind in PICTURES:
         found[kind] = Target(f"mask.{kind}", pj.io.load_mask, [*pictures(mask, kind)])
     rle = json.dumps({"size": [80, 96], "counts": [100, 20, 7560]}).encode()
@@ -246,17 +245,10 @@ def main():
         names = [name for name in known if asked.only is None or name in asked.only]
         seconds = asked.seconds / len(names)
         if len(names) > 1:
-            worker = [
-                sys.executable,
-                "-W",
-                "ignore",
-                *sys.argv,
-                "--seconds",
-                str(seconds),
-                "--only",
-            ]
-            run = lambda kind: subprocess.run([*worker, kind], env={**os.environ, "TMPDIR": name})
-            return max(print(kind, flush=True) or run(kind).returncode for kind in names)
+            words = "-W", "ignore", *sys.argv, "--seconds", seconds, "--only"
+            more = {"capture_output": False, "env": {**os.environ, "TMPDIR": name}}
+            run = lambda kind: python(*words, kind, **more).returncode
+            return max(print(kind, flush=True) or run(kind) for kind in names)
         target = known[names[0]]
         asked.keep.mkdir(exist_ok=True)
         signal.signal(signal.SIGPROF, ring)

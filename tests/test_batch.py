@@ -20,7 +20,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from oracles import drawn, lump, normal, turned, usual_camera
 from PIL import Image
 from processes import printed, python
-from refusals import refusal, refuses
+from refusals import pairs, refusal, refuses
 from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
@@ -86,6 +86,11 @@ def check_pose(row, truth):
     assert np.linalg.norm(np.array(row["t"]) - t) < 0.05 * np.linalg.norm(t)
 
 
+def failed(id, words=""):
+    """The row of a record that could not be fitted."""
+    return empty_row({"id": id}, "failed", words)
+
+
 def write_rows(folder, rows):
     """Write rows as a run does; return the results in the folder."""
     writer = Writer(folder)
@@ -95,9 +100,9 @@ def write_rows(folder, rows):
     return batch.Results(folder)
 
 
-def same(row, other):
-    """Whether two rows are equal but for what the clock says."""
-    return line_of({**row, "seconds": 0.0}) == line_of({**other, "seconds": 0.0})
+def timeless(rows):
+    """Rows as lines, without what the clock says."""
+    return [line_of({**row, "seconds": 0.0}) for row in rows]
 
 
 # One record.
@@ -201,7 +206,7 @@ def test_json_line_keeps_infinities_and_nan():
 def test_rows_are_whole_and_each_counts_once(tmp_path):
     writer = Writer(tmp_path)
     for id in ("b", "a"):
-        writer.add(empty_row({"id": id}, "failed", "first"))
+        writer.add(failed(id, "first"))
     assert list(batch.Results(tmp_path)) == []
     writer.flush()
     results = write_rows(tmp_path, [empty_row({"id": "a"}, "crashed", "second")])
@@ -215,10 +220,10 @@ def test_rows_are_whole_and_each_counts_once(tmp_path):
 
 def test_rows_reach_the_disk_some_seconds_apart(tmp_path, monkeypatch):
     writer = Writer(tmp_path)
-    writer.add(empty_row({"id": "a"}, "failed", ""))
+    writer.add(failed("a"))
     assert not batch.Results(tmp_path).ids()
     monkeypatch.setattr(parts, "SECONDS", 0.0)
-    writer.add(empty_row({"id": "b"}, "failed", ""))
+    writer.add(failed("b"))
     assert batch.Results(tmp_path).ids() == {"a", "b"}
 
 
@@ -240,12 +245,12 @@ def test_shards_part_the_records():
 
 
 def test_table_has_all_rows(rows, tmp_path):
-    results = write_rows(tmp_path, [*rows[::-1], empty_row({"id": "z"}, "failed", "words")])
+    results = write_rows(tmp_path, [*rows[::-1], failed("z", "words")])
     path = tmp_path / "table.jsonl"
     assert batch.merge(results, path) == COUNT + 1
     read = [row_of(line) for line in path.read_text().splitlines()]
     assert [row["id"] for row in read] == [*sorted(row["id"] for row in rows), "z"]
-    assert all(same(a, b) for a, b in zip(read, results, strict=True))
+    assert timeless(read) == timeless(results)
     with refusal(r"`path`.*\.jsonl or \.csv"):
         batch.merge(results, tmp_path / "table.txt")
 
@@ -256,7 +261,7 @@ def read_csv(path):
 
 
 def test_bop_results(rows, truths, tmp_path):
-    results = write_rows(tmp_path, [*rows, empty_row({"id": "test/1/2/3/4"}, "failed", "")])
+    results = write_rows(tmp_path, [*rows, failed("test/1/2/3/4")])
     assert batch.merge(results, tmp_path / "bop.csv") == COUNT
     lines = read_csv(tmp_path / "bop.csv")
     assert list(lines[0]) == ["scene_id", "im_id", "obj_id", "score", "R", "t", "time"]
@@ -268,8 +273,8 @@ def test_bop_results(rows, truths, tmp_path):
 
 def test_flat_table_has_a_line_for_every_row(rows, tmp_path):
     found = [row | {"id": id} for id, row in zip(("first, of two", "second"), rows, strict=False)]
-    failed = empty_row({"id": "test/1/2/3/4"}, "failed", 'no "mask"')
-    assert batch.merge(write_rows(tmp_path, [*found, failed]), tmp_path / "flat.csv") == 3
+    lost = failed("test/1/2/3/4", 'no "mask"')
+    assert batch.merge(write_rows(tmp_path, [*found, lost]), tmp_path / "flat.csv") == 3
     *lines, last = read_csv(tmp_path / "flat.csv")
     assert ",".join(last) == (
         "id,status,iou,rms,fx,fy,cx,cy,R11,R12,R13,R21,R22,R23,R31,R32,R33,tx,ty,tz,"
@@ -282,7 +287,7 @@ def test_flat_table_has_a_line_for_every_row(rows, tmp_path):
         (id, status, *numbers, words) = line.values()
         assert (id, status, words) == (row["id"], "converged", row["words"])
         assert [*map(float, numbers)] == expected
-    known = {name: failed[name] for name in ("id", "status", "words")}
+    known = {name: lost[name] for name in ("id", "status", "words")}
     assert {name: value for name, value in last.items() if value} == known
 
 
@@ -420,7 +425,7 @@ def test_threads_give_rows_in_order(records, rows):
     counts = []
     with ThreadPoolExecutor(2) as threads:
         found = batch.fit_many(records[::-1], executor=threads, progress=counts.append)
-    assert all(same(a, b) for a, b in zip(found, rows[::-1], strict=True))
+    assert timeless(found) == timeless(rows[::-1])
     assert [count.done for count in counts] == [1, 2, 3, 4]
     assert counts[-1].total == COUNT
     assert counts[-1].statuses == {"converged": COUNT}
@@ -457,7 +462,7 @@ def test_shards_make_the_whole(records, rows, tmp_path):
     with ThreadPoolExecutor(1) as threads:
         for k in (1, 2, 3):
             batch.fit_many(records, executor=threads, out=tmp_path, shard=(k, 3))
-    assert all(same(a, b) for a, b in zip(batch.Results(tmp_path), rows, strict=True))
+    assert timeless(batch.Results(tmp_path)) == timeless(rows)
 
 
 def test_executor_that_is_shut_down_is_named():
@@ -617,7 +622,7 @@ def test_worker_processes_and_a_cluster_make_the_same_rows(folder, rows, tmp_pat
     environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
     printed(path, folder / "test", one, other, env=environment)
     found = list(batch.Results(one))
-    assert all(same(a, b) for a, b in zip(found, batch.Results(other), strict=True))
+    assert timeless(found) == timeless(batch.Results(other))
     for a, b in zip(found, rows, strict=True):
         assert a["status"] == b["status"]
         assert_allclose(a["R"], b["R"], atol=1e-4)
@@ -626,12 +631,16 @@ def test_worker_processes_and_a_cluster_make_the_same_rows(folder, rows, tmp_pat
 # The command.
 
 
+def main(words):
+    return command.main(["batch", *words.split()])
+
+
 def test_command_writes_table_and_camera(rows, folder, tmp_path, capsys, monkeypatch):
     """What is there is written and told without a worker."""
     monkeypatch.chdir(tmp_path)
 
     def printed(words, status):
-        assert command.main(["batch", *words.split()]) == status
+        assert main(words) == status
         return "".join(capsys.readouterr())
 
     write_rows(tmp_path / "out", rows)
@@ -646,7 +655,7 @@ def test_command_writes_table_and_camera(rows, folder, tmp_path, capsys, monkeyp
     assert "--resume" in printed(f"{folder}/test -o out --start", 2)
     assert "`--output`: expected unchanged" in printed(f"{folder}/test -o out --resume", 2)
     assert printed(f"{folder}/test -o out --start --resume", 0)
-    write_rows(tmp_path / "out", [empty_row({"id": "test/1/2/3/4"}, "failed", "`mask`: none")])
+    write_rows(tmp_path / "out", [failed("test/1/2/3/4", "`mask`: none")])
     told = printed("-o out --merge bop.csv", 1)
     assert "failure    test/1/2/3/4: `mask`: none\n" in told
     assert "bop.csv (without 1 rows that have no camera)" in told
@@ -657,8 +666,7 @@ def test_command_hands_its_options_to_each_record(tmp_path, monkeypatch):
     monkeypatch.setattr("pinhole_jax._command.batch.fit_many", lambda x, **_: items.extend(x))
     (tmp_path / "set.csv").write_text("id,mesh,mask,fov\na,a.ply,a.png,\nb,b.ply,b.png,30\n")
     words = "--K 9,9,4,4 --dist -0.1,0,0,0 --crop 1 2 8 8 --resize 8 8 --weight w.png --no-tidy"
-    out = ["-o", str(tmp_path / "out"), "--free", "pose", "focal"]
-    assert command.main(["batch", str(tmp_path / "set.csv"), *out, *words.split()]) == 0
+    assert main(f"{tmp_path}/set.csv -o {tmp_path}/out --free pose focal {words}") == 0
     shared = {"crop": [1, 2, 8, 8], "resize": [8, 8], "weight": "w.png", "free": "pose,phi"}
     shared |= {"tidy": False}
     first, second = items
@@ -668,19 +676,19 @@ def test_command_hands_its_options_to_each_record(tmp_path, monkeypatch):
     assert second.keys() == {"id", "mesh", "mask", "fov", *shared}
 
 
-@pytest.mark.parametrize(
+@pairs(
     "arguments, words",
-    [
-        (["-o", "none"], "`DATASET`: expected a data set"),
-        (["none.csv", "-o", "none", "--shard", "one"], "`--shard`: expected I/N"),
-        (["-o", "none", "--write", "a", "b.yaml"], "`--write`.*'a'"),
-        (["-o", "none", "--merge", "table.txt"], "`--merge`.*.jsonl or .csv"),
-    ],
+    {
+        "-o none": "`DATASET`: expected a data set",
+        "none.csv -o none --shard one": "`--shard`: expected I/N",
+        "-o none --write a b.yaml": "`--write`.*'a'",
+        "-o none --merge table.txt": "`--merge`.*.jsonl or .csv",
+    },
 )
 def test_command_names_the_wrong_argument(arguments, words, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "none.csv").write_text("id,mesh,mask\n")
-    assert command.main(["batch", *arguments]) == 2
+    assert main(arguments) == 2
     assert re.search(words, capsys.readouterr().err)
 
 

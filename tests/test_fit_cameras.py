@@ -6,13 +6,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
-from arm import check_slope
+from arm import check_slope, numbers_of
 from chosen import full
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from oracles import body, camera_anywhere, drawn, lump, normal, turned
 from refusals import refusal, refuses
-from results import degrees
+from results import check_found, degrees
 from test_alike import can, handle
 
 import pinhole_jax as pj
@@ -29,9 +29,9 @@ def masks():
     return [drawn(c, SCENE) for c in TRUTHS]
 
 
-def noisy(masks, sigma=0.02):
+def noisy(masks):
     random = default_rng(0)
-    return [m + sigma * random.normal(size=m.shape) for m in masks]
+    return [m + 0.02 * random.normal(size=m.shape) for m in masks]
 
 
 def test_shared_intrinsics_from_exact_masks(masks):
@@ -95,8 +95,7 @@ def test_hidden_handle_leaves_the_rotation_of_its_view_free():
     assert hidden.status == "rank_deficient"
     assert "rotation about the axis (0.00, 0.00, 1.00)" in hidden.weak[0]
     assert np.all(np.isinf(hidden.std[:3]) | (hidden.std[:3] > np.deg2rad(5)))
-    assert shown.status == "converged"
-    assert degrees(shown, OF_MUG[1]) < 1
+    check_found(shown, OF_MUG[1], 1)
     for fit in pj.fit_cameras(MUG, masks, None, phi=0.6):
         assert fit.status in ("rank_deficient", "ambiguous")
 
@@ -188,9 +187,7 @@ def test_derivative_by_the_mesh_equals_refits(masks, kind, tolerance):
 
     vertices = SCENE.mesh.vertices
     wrong = 0.01 * jnp.asarray(normal(vertices.shape, 1))
-    slope = check_slope(eye, [vertices], [wrong], 1e-3, tolerance)
-    gradient = jax.grad(lambda v: eye(v)[0])(vertices)
-    assert_allclose(jnp.sum(gradient * wrong), slope[0], rtol=1e-6, atol=1e-12)
+    check_slope(eye, [vertices], [wrong], 1e-3, tolerance)
 
 
 @pytest.mark.full
@@ -201,8 +198,7 @@ def test_views_move_with_masks_and_weights_as_refits_do(masks, free):
 
     def answer(a, b, weight):
         given = {"weights": [weight, None], "outlier_px": None}
-        fits = pj.fit_cameras(SCENE, [a, b], starts, free=free, **given)
-        return jnp.concatenate([jnp.stack([*f.camera.e, *f.camera.p, f.camera.phi]) for f in fits])
+        return numbers_of(pj.fit_cameras(SCENE, [a, b], starts, free=free, **given))
 
     random = default_rng(2)
     inputs = [*map(jnp.asarray, noisy(masks[:2])), jnp.ones((80, 96))]

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from arm import START, TRUTH, apart
+from arm import BAR, START, TRUTH, apart
 from folders import in_trimesh
 from numpy.testing import assert_allclose
 from oracles import drawn
@@ -55,6 +55,15 @@ def test_urdf_becomes_a_scene(tmp_path):
             call()
 
 
+MASKS = "mask_0.png mask_1.png mask_2.png"
+
+
+def main(words):
+    """Run the command on the robot; MASKS stands for all of its masks."""
+    words = f"hand-eye arm.urdf {words} --camera start.json".replace("MASKS", MASKS)
+    return command.main(words.split())
+
+
 @pytest.fixture
 def robot_files(tmp_path, monkeypatch):
     """A robot of two links, angles and masks of three postures, a camera to start from."""
@@ -62,7 +71,7 @@ def robot_files(tmp_path, monkeypatch):
     monkeypatch.setattr(command, "_set_up_jax", lambda *_, **__: None)
     monkeypatch.chdir(tmp_path)
     in_trimesh(shapes.bumpy(2)).export("body.stl")
-    trimesh.creation.box((0.6, 0.9, 2.2)).export("arm.stl")
+    BAR.export("arm.stl")
     base = '<box size="0.5 0.5 0.2"/>', '<mesh filename="body.stl"/>'
     text = URDF.replace(*base).replace(' scale="2 2 2"', "").replace('xyz="0 0 0.1"', 'xyz="1 0 0"')
     Path("arm.urdf").write_text(text)
@@ -71,16 +80,15 @@ def robot_files(tmp_path, monkeypatch):
     for k, angle in enumerate((-0.6, 0.3, 1.1)):
         pj.io.save_image(f"mask_{k}.png", drawn(TRUTH, robot.scene([angle])))
     pj.io.save_camera("start.json", START)
-    return ["hand-eye", "arm.urdf", "joints.csv", *(f"mask_{k}.png" for k in range(3))]
 
 
 @pytest.mark.long
-def test_command_finds_joint_zeros_and_writes_a_page(robot_files, capsys):
+@pytest.mark.usefixtures("robot_files")
+def test_command_finds_joint_zeros_and_writes_a_page(capsys):
     Path("joints.csv").write_text("turn\n-0.61\n0.29\n1.09\n")
     Path("more.csv").write_text("turn\n0.31\n-1.9\n")
-    words = [*robot_files, "--camera", "start.json", "--joint-zeros", "1", "-o", "found"]
-    words += ["--propose", "more.csv", "--holdout", "--report", "page.html"]
-    assert command.main(words) == 0
+    words = "--propose more.csv --holdout --report page.html -o found"
+    assert main(f"joints.csv MASKS --joint-zeros 1 {words}") == 0
     out = capsys.readouterr().out
     assert max(apart(pj.io.load_fit("found/camera.json").camera, TRUTH)) < 0.02
     found = float(re.search(r"^turn +([-+0-9.]+) ", out, re.M)[1])
@@ -102,10 +110,9 @@ def test_command_finds_joint_zeros_and_writes_a_page(robot_files, capsys):
 
 
 @pytest.mark.long
-def test_command_finds_the_camera_of_a_robot(robot_files, capsys):
-    words = [*robot_files, "--camera", "start.json", "--holdout", "-o", "found"]
-    words += ["--images", *robot_files[3:], "--refine"]
-    assert command.main(words) == 0
+@pytest.mark.usefixtures("robot_files")
+def test_command_finds_the_camera_of_a_robot(capsys):
+    assert main("joints.csv MASKS --holdout --images MASKS --refine -o found") == 0
     out = capsys.readouterr().out
     assert len(re.findall(r"view \d: fitted to the mask", out)) == 3
     found = pj.io.load_fit("found/camera.json")
@@ -116,8 +123,30 @@ def test_command_finds_the_camera_of_a_robot(robot_files, capsys):
     assert all(Path(path).exists() for path in written)
 
 
-def test_command_names_the_wrong_robot_argument(robot_files, capsys):
-    start = ["--camera", "start.json"]
+#: A command's words, by the error.
+WRONG = {
+    "`MASK`: expected one for each of 3 rows of 'joints.csv'": "joints.csv mask_0.png mask_1.png",
+    "`--joint-zeros`: expected a positive": "joints.csv MASKS --joint-zeros -1",
+    "expected none with `--in-hand`": "joints.csv MASKS --joint-zeros 1 --in-hand arm",
+    "`postures`: expected 1 angles in each row": "joints.csv MASKS --propose short.json",
+    "expected `pose` in --free": "joints.csv MASKS --free phi --propose joints.csv",
+    "`--refine`: expected photos, --images": "joints.csv MASKS --refine",
+    "`--images`: expected one for each of 3": "joints.csv MASKS --images mask_0.png",
+    "`--images`: expected the mask's size 96 x 96, got 40 x 30 (small.png)": (
+        "joints.csv MASKS --images mask_0.png mask_1.png small.png"
+    ),
+    "`--in-hand`: expected a link among base": "joints.csv MASKS --in-hand tool",
+    "`--leave-out`: expected links among base": "joints.csv MASKS --leave-out tool",
+    "-34 in row 2 of 'far.csv': degrees?": "far.csv MASKS",
+    "`JOINTS`: expected -3 to 3 rad of joint": "deg.json MASKS",
+    "`unit`: expected one of rad, deg, got 'gon' (in 'gon.json')": "gon.json MASKS",
+    "`JOINTS`: expected one of each joint, got none": "other.csv MASKS",
+    "`postures`: expected 1 angles in": "short.json mask_0.png",
+}
+
+
+@pytest.mark.usefixtures("robot_files")
+def test_command_names_the_wrong_robot_argument(capsys):
     Path("short.json").write_text('{"names": ["turn"], "postures": [[1, 2]]}')
     Path("other.csv").write_text("bend\n0\n0\n0\n")
     Path("far.csv").write_text("turn\n0.1\n-34\n0.2\n")
@@ -125,29 +154,8 @@ def test_command_names_the_wrong_robot_argument(robot_files, capsys):
         text = f'{{"unit": "{unit}", "names": ["turn"], "postures": [[400]]}}'
         Path(f"{unit}.json").write_text(text)
     pj.io.save_image("small.png", np.zeros((30, 40, 3), np.uint8))
-    robot, masks = robot_files[:2], robot_files[3:]
-    words = [*robot_files, *start]
-    joints = lambda file: [*robot, file, *masks, *start]
-    for message, change in {
-        "`MASK`: expected one for each of 3 rows of 'joints.csv'": [*robot_files[:-1], *start],
-        "`--joint-zeros`: expected a positive": [*words, "--joint-zeros", "-1"],
-        "expected none with `--in-hand`": [*words, "--joint-zeros", "1", "--in-hand", "arm"],
-        "`postures`: expected 1 angles in each row": [*words, "--propose", "short.json"],
-        "expected `pose` in --free": [*words, "--free", "phi", "--propose", "joints.csv"],
-        "`--refine`: expected photos, --images": [*words, "--refine"],
-        "`--images`: expected one for each of 3": [*words, "--images", masks[0]],
-        "`--images`: expected the mask's size 96 x 96, got 40 x 30 (small.png)": [
-            *words, "--images", *masks[:2], "small.png"
-        ],
-        "`--in-hand`: expected a link among base": [*words, "--in-hand", "tool"],
-        "`--leave-out`: expected links among base": [*words, "--leave-out", "tool"],
-        "-34 in row 2 of 'far.csv': degrees?": joints("far.csv"),
-        "`JOINTS`: expected -3 to 3 rad of joint": joints("deg.json"),
-        "`unit`: expected one of rad, deg, got 'gon' (in 'gon.json')": joints("gon.json"),
-        "`JOINTS`: expected one of each joint, got none": joints("other.csv"),
-        "`postures`: expected 1 angles in": [*robot, "short.json", masks[0], *start],
-    }.items():  # fmt: skip
-        assert command.main(change) == 2
+    for message, words in WRONG.items():
+        assert main(words) == 2
         assert message in capsys.readouterr().err
 
 

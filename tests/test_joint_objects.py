@@ -1,16 +1,31 @@
-"""Joint fits of objects: their poses and sizes, before known cameras."""
+"""Joint fits of objects: their poses and sizes, before known cameras; and what views show before
+there is a mask.
+"""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import trimesh
-from arm import BOTH_EYES, OFF, SIZE, TRUTH, check_slope, grown, posture
+from arm import (
+    BAR,
+    BOTH_EYES,
+    OFF,
+    RIG,
+    SIZE,
+    START,
+    TRUTH,
+    check_slope,
+    grown,
+    information_of,
+    posture,
+)
 from numpy.testing import assert_allclose
-from oracles import body, central_difference, drawn
+from oracles import body, drawn
+from refusals import refusal
+from results import NAMES, fit_at
 
 import pinhole_jax as pj
-from pinhole_jax._camera.poses import exponential
+from pinhole_jax._camera.poses import at_pose, exponential, inverse, pose_of
+from pinhole_jax._command.hand_eye import worths
 
 #: Where an object is, somewhere before the cameras.
 PLACE = exponential(np.array([0.3, 0.2, -0.4, 0.2, 0.1, 0.3]))
@@ -94,9 +109,7 @@ def test_derivative_of_a_part_equals_refits(larger, noise, by_mesh):
     if by_mesh:
         by_vertices = lambda v: answer(v, one.target, None, None)
         wrong = 0.01 * jnp.asarray(random.normal(size=vertices.shape))
-        slope = check_slope(by_vertices, [vertices], [wrong], 1e-3, 1e-3)
-        gradient = jax.grad(lambda v: by_vertices(v)[-1])(vertices)
-        assert_allclose(jnp.sum(gradient * wrong), slope[-1], rtol=1e-6)
+        check_slope(by_vertices, [vertices], [wrong], 1e-3, 1e-3)
         return
     by_rest = lambda *given: answer(vertices, *given)
     turning = [(exponential(1e-5 * x) - exponential(-1e-5 * x)) / 2e-6 for x in twists]
@@ -118,8 +131,7 @@ def test_observability_of_several_views_equals_polygon_differences(arm, larger):
         return drawn(camera, arm.scene_at([moved @ grown(1 + x[6]) @ pose for pose in posture(0)]))
 
     both = lambda x: np.stack([shown(camera, x) for camera in BOTH_EYES.values()])
-    J = central_difference(both, np.zeros(7)).reshape(-1, 7)
-    information = J.T @ J / 0.1**2
+    information = information_of(both, 7)
     assert_allclose(told.std, np.sqrt(np.diag(np.linalg.inv(information))), rtol=1e-4)
     # What is known beforehand adds to it.
     known = {"part": {"scale": (1.0, 1e-3), "y": (0.0, 2e-3)}}
@@ -137,8 +149,7 @@ def test_observability_of_several_views_equals_polygon_differences(arm, larger):
 
 @pytest.mark.long
 def test_box_before_two_cameras_is_ambiguous_by_half_turns():
-    bar = trimesh.creation.box((0.6, 0.9, 2.2))
-    box = pj.Assembly([pj.Mesh(np.asarray(bar.vertices), bar.faces)])
+    box = pj.Assembly([pj.Mesh(BAR)])
     views = [
         pj.JointView(box.scene_at([np.eye(4)]), drawn(c, box.scene_at([PLACE])), n, object="box")
         for n, c in BOTH_EYES.items()
@@ -148,3 +159,52 @@ def test_box_before_two_cameras_is_ambiguous_by_half_turns():
     assert len(fit.modes) == 3
     turns = [PLACE[:3, :3].T @ m.objects["box"].pose[:3, :3] for m in (fit, *fit.modes)]
     assert max(np.max(np.abs(np.abs(turn) - np.eye(3))) for turn in turns) < 1e-6
+
+
+# --- before there is a mask ----------------------------------------------------------------------
+
+
+def test_observability_of_a_rig_on_a_mount_equals_polygon_differences(scenes):
+    """The right eye follows the left one, and both have one lens."""
+    mount, placed = exponential(np.full(6, 0.1)), exponential(np.full(6, 0.2))
+    left = fit_at(at_pose(TRUTH, inverse(mount) @ placed @ pose_of(TRUTH)), np.eye(7))
+    place = {"mount": mount, "placed": placed}
+    views = [pj.JointView(scenes[0], None, camera=name, **place) for name in RIG]
+    cameras = {name: at_pose(left.camera, pose_of(left.camera) @ RIG[name]) for name in RIG}
+    known = {"left": {"phi": (0.6, 0.01)}}
+    told = pj.joint_observability(
+        views, cameras, ("pose", "phi"), rig=RIG, shared="phi", prior=known, noise=0.1
+    )
+
+    def shown(x):
+        moved = left.displaced(x)
+        poses = (inverse(placed) @ mount @ pose_of(moved) @ RIG[name] for name in RIG)
+        return np.stack([drawn(at_pose(moved, pose), scenes[0]) for pose in poses])
+
+    information = information_of(shown, 7)
+    information[6, 6] += 0.01**-2
+    assert (told.names[:7], told.rank) == (tuple(f"left {name}" for name in NAMES), 7)
+    expected = np.diag(np.linalg.inv(information))
+    assert_allclose(told.std[:7] ** 2, expected, rtol=2e-4)
+
+
+def test_observability_predicts_the_error_bars_of_a_fit(noisy):
+    asked = START, ("pose", "phi")
+    fit = pj.fit_joint(noisy[:1], *asked).cameras["camera"]
+    told = pj.joint_observability(noisy[:1], fit.camera, ("pose", "phi"), noise=0.05)
+    assert told.names == tuple(f"camera {name}" for name in fit.names)
+    assert_allclose(told.std, np.sqrt(np.diag(fit.independent_covariance)), rtol=0.15)
+    alone = pj.observability(fit.camera, noisy[0].scene, ("pose", "phi"), noise=0.05)
+    assert_allclose(told.covariance, alone.covariance, rtol=1e-6)
+    with refusal("`noise`: expected a positive standard deviation"):
+        pj.joint_observability(noisy[:1], *asked, noise=0.0)
+
+
+def test_proposed_mask_adds_its_information(scenes):
+    """Of two masks that are alike a third one is worth its share; one that shows nothing, none."""
+    seen = pj.JointView(scenes[0], None)
+    mesh = scenes[0].mesh
+    aside = seen._replace(scene=body(mesh.vertices + 90.0, mesh.faces))
+    found = worths([seen, seen], TRUTH, "pose,phi", [seen, aside])
+    assert_allclose(found, [1.5**0.5, 1], rtol=1e-6)
+    assert worths([aside], TRUTH, "pose,phi", [seen, aside]) == [np.inf, 1]

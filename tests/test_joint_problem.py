@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
-from arm import TRUTH, posture, views as arm_views
+from arm import BAR, TRUTH, posture, views as arm_views
 from oracles import drawn
 from refusals import refusal, refuses
 
@@ -44,8 +44,7 @@ def test_many_views_hold_little_memory(scenes):
 
 def test_assembly_is_the_union_of_its_parts(arm):
     scene = arm.scene_at(posture(1))
-    box = trimesh.creation.box((0.6, 0.9, 2.2)).vertices
-    moved = box @ posture(1)[1][:3, :3].T + posture(1)[1][:3, 3]
+    moved = BAR.vertices @ posture(1)[1][:3, :3].T + posture(1)[1][:3, 3]
     assert np.allclose(np.asarray(scene.mesh.vertices)[-8:], moved)
     assert scene.mesh.closed
     assert scene.mesh.faces is arm.scene_at(posture(2)).mesh.faces

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-import trimesh
-from arm import BOTH_EYES, RIG, SIZE, START, TRUTH, apart, grown, posture
+from arm import BOTH_EYES, RIG, SIZE, START, TRUTH, apart, grown, information_of, posture
+from folders import in_trimesh
 from oracles import drawn
 
 import pinhole_jax as pj
@@ -68,9 +68,8 @@ NEAR = at_pose(
 @pytest.fixture(scope="module")
 def misread(tmp_path_factory):
     """Views of five postures of a robot whose joints' zeros are off."""
-    folder, body = tmp_path_factory.mktemp("three"), shapes.bumpy(2)
-    half = trimesh.Trimesh(0.5 * np.asarray(body.vertices), body.faces, process=False)
-    half.export(folder / "body.stl")
+    folder = tmp_path_factory.mktemp("three")
+    in_trimesh(shapes.bumpy(2)).apply_scale(0.5).export(folder / "body.stl")
     (folder / "three.urdf").write_text(THREE)
     robot = pj.robots.load_urdf(folder / "three.urdf")
     postures = np.random.default_rng(3).uniform(-1, 1, (3, 3))
@@ -117,7 +116,6 @@ def test_observability_of_joint_zeros_equals_polygon_differences(misread):
         misread[:1], BEFORE, "phi", joint_zeros=1.0, prior={"phi": (0.6, 1e-9)}, noise=0.1
     )
     shown = lambda x: drawn(BEFORE, misread[0].posture.scene(x))
-    ends = [(shown(x) - shown(-x)).ravel() / 2e-5 for x in 1e-5 * np.eye(3)]
-    information = np.eye(3) + ends @ np.transpose(ends) / 0.1**2
+    information = np.eye(3) + information_of(shown, 3)
     assert [name.split()[0] for name in told.names] == ["camera", "shoulder", "elbow", "wrist"]
     np.testing.assert_allclose(told.std[1:] ** 2, np.diag(np.linalg.inv(information)), rtol=2e-3)
