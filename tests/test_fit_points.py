@@ -456,6 +456,21 @@ def test_error_bars_stay_where_errors_are_independent_or_given():
     assert np.max(larger) > 2 * np.min(larger)
 
 
+@pytest.mark.parametrize("points", [SOLID, PLANE], ids=["solid", "plane"])
+def test_error_bars_hold_where_neighbouring_points_err_alike(points):
+    """By a lens that is left out: eyes were 12 to 16 sigma off, and are up to 5."""
+    random, most = default_rng(8), {0.0: 4, -0.1: 6}
+    for k in range(8):
+        for k1 in most:
+            truth = near(EYES[k % 4], lens=pj.Lens([W / 2, H / 2], 1.0, pj.BrownConrady(k1)))
+            points2d = seen(truth, points) + random.normal(0, 0.02, (30, 2))
+            fit = pj.fit_points(points, points2d, near(EYES[k % 4]))
+            assert any("residuals of neighbouring points" in note for note in fit.weak) == (k1 < 0)
+            off = np.asarray(fit.camera.e - truth.e)
+            squares = off @ np.linalg.solve(fit.covariance[3:6, 3:6], off)
+            assert 0.1 < squares**0.5 < most[k1]
+
+
 def test_chessboards_are_calibrated_as_opencv_calibrates_them(shared):
     sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
     import real

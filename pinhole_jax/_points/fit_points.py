@@ -45,6 +45,7 @@ from .._solver.uncertainty import BLIND, covariance, moves_in_words, weak_direct
 from .descent import PointDescent, descend
 from .noise import FEW, Noise, beyond_noise
 from .reprojection import Matches, PointArrays, PointEye, PointProblem, bend_and_pull
+from .smooth import alike
 from .starts import begin
 
 #: What several views share by default: the intrinsics of one physical camera.
@@ -56,6 +57,7 @@ FOUR_SIGMA, UNCERTAIN_OF_FEW = 4.0, np.deg2rad(1)
 #: A point whose weight is a smaller share of the largest of its view does not count.
 NEGLIGIBLE = 1e-6
 WRONG = "are they the same points, in the right order, units and focal length?"
+ALIKE = "residuals of neighbouring points agree: the lens or the points are off by more than noise"
 
 
 class PointFit(CameraResult):
@@ -72,7 +74,8 @@ class PointFit(CameraResult):
       `Fit`. The covariance is that of the joint problem and assumes that all coordinates err
       independently and alike, by `noise_px` or by as much as the residuals say. (Weights divide
       variances.) Where these say that errors are
-      alike within each view, as a bent board's, it is widened by as much as views disagree. Few
+      alike within each view, as a bent board's, it is widened by as much as views disagree; where
+      views share nothing, by as much as residuals of neighbouring points agree (`weak`). Few
       coordinates say it badly: where up to 30 more than unknowns do, it is widened so that 95 %
       intervals hold the truth (Student's t), and where none does it is infinite. Points that are
       repeated count once.
@@ -380,13 +383,18 @@ def _report(
     in_words = partial(moves_in_words, components(freed), axes_of(camera))
     unseen, weak = weak_directions(triangle, in_words, blind)
     spread = reported / scale @ known.follows[place] @ beyond
-    cov = covariance(triangle, reported, triangle.T @ triangle, blind) + spread @ spread.T
+    gradient = triangle.T @ triangle
+    # (Shared unknowns are known by many views, whose agreement tells.)
+    excess = np.zeros_like(gradient) if beyond.size else alike(matches, at, noise)
+    cov = covariance(triangle, reported, gradient + excess, blind) + spread @ spread.T
     # (Where nothing shows how points err, nothing is known.)
     is_known = np.isfinite(noise.variance)
     cov = noise.variance * cov if is_known else np.where(np.eye(len(cov)) > 0, np.inf, np.nan)
 
     rms = float(np.sqrt(float(view.sums.squares) / matches.weight))
     status, words = _status_by_error_bars(cov, labels, camera, noise)
+    if np.any(excess):
+        words = (*words, ALIKE)
     if unseen:
         status = "rank_deficient"
     if rms > found.limits[k]:

@@ -129,10 +129,17 @@ class Matches(eqx.Module):
         """The view at a camera (canonical)."""
         del level
         found: Any = jax.tree.map(np.asarray, self._look(camera))
-        triangle, along, to_reported, scale, squares = found
+        triangle, along, to_reported, scale, squares = found[:5]
         nothing: Any = np.zeros(())
         sums, known = Sums(squares, *[nothing] * 6), np.zeros((0, len(scale)))
         return View(triangle, along, sums, to_reported, scale, known, 0.0)
+
+    def rows(self, camera: Camera, some: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What moves change the residuals of some points by (k, 2, n), and these (k, 2), in px of a
+        point of weight 1."""
+        jacobian, r = self._look(camera)[5:]
+        by_point: Any = np.asarray(jacobian, float).reshape(len(self.given.weight), 2, -1)
+        return by_point[some], np.asarray(r, float).reshape(-1, 2)[some]
 
     def program(self, camera: Camera, level: int) -> Hashable:
         """A key of the compiled program that looks at a camera."""
@@ -155,7 +162,7 @@ class Matches(eqx.Module):
     @eqx.filter_jit
     def _look(self, camera: Camera) -> tuple[Array, ...]:
         """R and Q^T r of the residuals (px) by moves, the reported parameters' derivative, the
-        moves' sizes, and the sum of squares."""
+        moves' sizes, the sum of squares, and the residuals' derivatives and themselves."""
         about = Ball(*map(jnp.asarray, self.ball))
         move = move_about(camera, about, None, jnp.asarray(self.H), self.freed)
 
@@ -169,7 +176,8 @@ class Matches(eqx.Module):
 
         zero = jnp.zeros_like(move.scale)
         (jacobian, to_reported), r = jax.jacfwd(quantities, has_aux=True)(zero)
-        return *triangle_and_rhs(jacobian, r), to_reported, move.scale, jnp.sum(r * r)
+        of_rows = triangle_and_rhs(jacobian, r)
+        return *of_rows, to_reported, move.scale, jnp.sum(r * r), jacobian, r
 
 
 @dataclass(frozen=True, eq=False)
