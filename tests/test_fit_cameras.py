@@ -156,6 +156,19 @@ def test_single_view_equals_fit_camera(masks, known):
     assert_allclose(*pixels, rtol=4e-3)
 
 
+@pytest.mark.parametrize("several", [False, True])
+def test_prior_that_masks_contradict_is_a_misfit(masks, several):
+    hard = [mask > 0.5 for mask in masks]
+    for mean, status in {0.6: "converged", 0.8: "misfit"}.items():
+        known = {"phi": (mean, 0.002)}
+        if several:
+            fit, *_ = pj.fit_cameras(SCENE, hard, STARTS, prior=known)
+        else:
+            fit = pj.fit_camera(SCENE, hard[0], STARTS[0], ("pose", "phi"), prior=known)
+        told = any("the prior of phi" in note for note in fit.weak)
+        assert (fit.status, told) == (status, status == "misfit")
+
+
 test_bad_input_is_refused = refuses(
     pj.fit_cameras,
     {"scene": BOX, "targets": np.zeros((3, 80, 96)), "cameras": STARTS},

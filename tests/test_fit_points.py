@@ -308,6 +308,17 @@ def test_points_of_one_view_show_how_those_of_another_err():
     assert np.all(np.isfinite(few.std))
 
 
+def test_prior_that_points_contradict_is_a_misfit():
+    random = default_rng(3)
+    points2d = seen(NEAR[0], SOLID) + random.normal(0, 0.2, (30, 2))
+    plain = pj.fit_points(SOLID, points2d, START, ("pose", "phi"))
+    for k, status in {1: "converged", 20: "misfit"}.items():
+        known = {"phi": (float(plain.camera.phi) + k * plain.std[-1], plain.std[-1] / 3)}
+        fit = pj.fit_points(SOLID, points2d, START, ("pose", "phi"), prior=known)
+        told = any("the prior of phi" in note for note in fit.weak)
+        assert (fit.status, told) == (status, status == "misfit")
+
+
 @pytest.mark.long
 def test_prior_makes_up_for_a_missing_coordinate():
     """A known aspect: as if it were held, of four points with nine numbers for eight unknowns."""

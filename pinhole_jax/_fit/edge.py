@@ -44,13 +44,10 @@ class Edge:
         """Its length (px)."""
         return max(float(np.sum(self.step)), 1e-9)
 
-    def distance(self, points: np.ndarray) -> np.ndarray:
-        """How far (k,) points (k, 2) are from the nearest of the edge (px)."""
-        return self._tree.query(points)[0] if len(self.at) else np.full(len(points), np.inf)
-
-    def nearest(self, points: np.ndarray) -> np.ndarray:
-        """Which of its points (k,) is the nearest to each of some (k, 2)."""
-        return self._tree.query(points)[1]
+    def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How far (k,) points (k, 2) are from the nearest of its points (px), and which (k,) these
+        are."""
+        return self._tree.query(points)
 
     def blocks(self, number: int, shortest: float) -> Blocks:
         """The edge cut into about `number` blocks, each at least `shortest` px long."""

@@ -38,8 +38,8 @@ from .._rules import RULES
 from .._scene.scene import Scene, check_scene
 from .._solver.looks import Sums, View
 from .._solver.moves import Bounds, canonical
-from .._solver.parameters import check_free, focal_is_free, in_one, with_lens
-from .._solver.priors import Pair, Prior, bounds_of, prior_of
+from .._solver.parameters import check_free, focal_is_free, in_one, labels_of, with_lens
+from .._solver.priors import Pair, Prior, bounds_of, contradictions, prior_of
 from .._solver.solver import Solution, Solver, Stop
 from .._solver.subject import Subject
 from .drift import other_places
@@ -50,7 +50,7 @@ from .occluders import from_all_sides, near_starts
 from .photo import COLOURS, check_photo, on_photo
 from .places import Free, settled, shelf, tilted, transported, turned_about
 from .refine import Candidate, Refiner, likeliest
-from .result import Context, Fit, Progress, progress_at, report, with_modes, with_unbelieved
+from .result import Context, Fit, Progress, progress_at, report, with_modes
 from .strategy import everywhere, free_about, from_start, to_the_end, turns_freely
 
 
@@ -385,7 +385,8 @@ def _fit_of(
         astray = None if said is None or edge is None else said.astray(edge)
         hidden = said is not None and bool(np.any(said.gross))
         known = mode.covariance, None if free else mode.shelf
-        context = Context(kind, settings.bounds, about, mode.errors, astray, hidden, *known)
+        beside = *known, _contradictions(solver, mode)
+        context = Context(kind, settings.bounds, about, mode.errors, astray, hidden, *beside)
         return report(mask.camera, mode.found, mode.over_all, freed, context)
 
     said, note = None, None
@@ -398,10 +399,42 @@ def _fit_of(
     if note is not None:
         fit = fit._replace(weak=(*fit.weak, note))
     if edge is not None and best.account is not None:
-        alone = from_anywhere and best.account.covered > RULES.small
-        fit = with_unbelieved(fit, *best.account.words(edge, mask.camera.H), alone)
+        points, words = best.account.words(edge, mask.camera.H)
+        doubts = _doubts(best, best.account, len(points) > 0 and from_anywhere)
+        status = "uncertain" if doubts and fit.status == "converged" else fit.status
+        unbelieved = points if len(points) else None
+        fit = fit._replace(unbelieved=unbelieved, status=status, weak=(*fit.weak, *words, *doubts))
     turns = [f.axis for f in free if f.axis is not None and np.isinf(f.ahead)]
     return with_modes(fit, other_places(fit, others, turns, minima=best.covariance is None))
+
+
+def _doubts(best: _Mode, said: Account, alone: bool) -> list[str]:
+    """Sentences on why a camera that fits is not sure: a part of the edge is all that speaks for
+    it, `alone`, or the likelihood's steps did not come to rest."""
+    doubts = []
+    if alone and said.covered > RULES.small:
+        words = "other views may fit so little of the edge as well: give a `camera` to start from"
+        doubts.append(words)
+    if best.covariance is not None and said.is_drawn and said.far > RULES.times:
+        far = f"{said.far:.0f} standard errors"
+        doubts.append(f"the likeliest camera may be {far} away, but steps do not end there")
+    return doubts
+
+
+def _contradictions(solver: Solver, mode: _Mode) -> tuple[str, ...]:
+    """Sentences on priors that the mask contradicts."""
+    if not solver.weighs_prior:
+        return ()
+    off, rows = solver.known(mode.found.camera)
+    if mode.covariance is not None and mode.account is not None:
+        known = mode.account.errors.covariance
+        off = off + rows @ mode.account.errors.move
+    else:  # (as residuals, a prior counts as the mask does)
+        view = mode.found.view
+        rows, triangle = np.asarray(view.known, float), np.asarray(view.triangle, float)
+        known = np.linalg.pinv(triangle.T @ triangle)
+    share = np.einsum("ki,ij,kj->k", rows, known, rows)
+    return contradictions(labels_of(solver.freed), off, share, "the mask says")
 
 
 def anywhere(

@@ -76,17 +76,17 @@ class Account:
         """The share of edge and outline that no occluder explains."""
         return self.missing + float(np.sum(edge.step[self.gross & self.outside]) / edge.length)
 
-    def words(self, edge: Edge, height: int) -> tuple[np.ndarray, str]:
+    def words(self, edge: Edge, height: int) -> tuple[np.ndarray, tuple[str, ...]]:
         """The points (n, 2) of the edge that are not believed, and a sentence on them; a few are
         no matter."""
         some = edge.at[self.gross]
         share = self.unbelieved(edge)
         if share < RULES.little:
-            return some[:0], ""
+            return some[:0], ()
         x, y = some[np.argmin(np.linalg.norm(some - np.median(some, axis=0), axis=1))]
         place = f"near column {int(x)}, row {height - 1 - int(y)}"
         why = "something may be in front of the object"
-        return some, f"{share:.0%} of the mask's edge ({place}) was ignored: {why}"
+        return some, (f"{share:.0%} of the mask's edge ({place}) was ignored: {why}",)
 
     def hidden(self, edge: Edge, least: float) -> float:
         """The share of a mask's edge that may be an occluder's: of curves that are no crumbs."""
@@ -149,7 +149,7 @@ class Likelihood:
         edge, blocks = self.edge, self._blocks
         if outline is None or len(blocks.length) < outline.by_move.shape[1] + 4:
             return None
-        pairs, away = matched(edge, outline), edge.distance(outline.at)
+        pairs, (away, nearest) = matched(edge, outline), edge.nearest(outline.at)
         limit = edge.size / 2
         offset = blocks.mean(np.clip(pairs.off, -limit, limit))
         by_move, ends = blocks.mean(pairs.by_move), float(np.log(len(offset)))
@@ -164,12 +164,16 @@ class Likelihood:
             px = float(np.sum(blocks.length[gross]))
             log -= 2 * ends * runs + _price(px, runs, edge.size, 1.0)
             reach = max(RULES.within * size, RULES.beside) + abs(bias)
-            alone = away > reach
+            # What sticks out of an edge is no error of it, however far errors are smooth.
+            beside = np.where(gross, 0, np.abs(offset))[blocks.of[nearest]]
+            differing = RULES.within * model.between(likeliest, away)
+            alone = away > beside + np.maximum(differing, RULES.beside)
             whole, hides = np.mean(alone), (gross & (offset < 0))[blocks.of]
             alone[alone] = ~_is_hidden(edge, hides, outline.at[alone], away[alone])
             missing = float(np.mean(alone))
             px, covered = missing * outline.length, float(whole) - missing
-            log -= _price(px, min(px / 3, 1.0), edge.size, max(size, 0.3))
+            rough = float(model.between(likeliest, RULES.smooth * edge.size))
+            log -= _price(px, min(px / 3, 1.0), edge.size, max(rough, 0.3))
             log -= covered / RULES.small  # (how much an occluder hides: exponential)
             return _EdgeReading(float(log), model, found, gross, reach, missing, covered)
 
@@ -229,7 +233,7 @@ def _is_hidden(edge: Edge, hides: np.ndarray, points: np.ndarray, away: np.ndarr
     is about as near as any."""
     if not (np.any(hides) and len(points)):
         return np.zeros(len(points), bool)
-    return edge.where(hides).distance(points) < 1.5 * away + 2
+    return edge.where(hides).nearest(points)[0] < 1.5 * away + 2
 
 
 def _price(px: float, runs: float, size: float, precision: float) -> float:
@@ -269,5 +273,5 @@ def believed(near: SparseImage, edge: Edge, gross: np.ndarray) -> SparseImage:
         return near
     row, column = np.divmod(near.place, near.shape[1])
     at = np.column_stack([column + 0.5, near.shape[0] - row - 0.5])
-    close = edge.where(gross).distance(at) < max(RULES.room * edge.size, RULES.beside)
-    return near._replace(value=np.where(gross[edge.nearest(at)] | close, 0.0, near.value))
+    close = edge.where(gross).nearest(at)[0] < max(RULES.room * edge.size, RULES.beside)
+    return near._replace(value=np.where(gross[edge.nearest(at)[1]] | close, 0.0, near.value))

@@ -264,7 +264,7 @@ def progress_at(stop: Stop, camera: Camera) -> Progress:
 class Context(NamedTuple):
     """What is known beside a view: the mask's kind, bounds, the directions found to be free, how
     the outline errs; where the likelihood gives it, the `covariance` (n, n) by moves; else the move
-    that shows least, and its `shelf`."""
+    that shows least, and its `shelf`; how the mask contradicts a prior."""
 
     kind: Kind
     bounds: Bounds | None = None
@@ -274,6 +274,7 @@ class Context(NamedTuple):
     hidden: bool = False
     covariance: np.ndarray | None = None
     shelf: tuple[np.ndarray, float] | None = None
+    contradictions: tuple[str, ...] = ()
 
     def share_astray(self, near: Any, whole: Any) -> float:
         """The share of the outline that nothing explains: where nothing better is known, that which
@@ -321,13 +322,14 @@ def report(
     moves = [f.move for f in free] + well_known(triangle, both[1])
     words = partial(moves_in_words, names_of_moves, axes_of(at))
     blind, weak = weak_directions(triangle, words, BLIND[dtype], moves)
-    weak = (*map(str, free), *weak, *ended)
+    weak = (*map(str, free), *weak, *ended, *context.contradictions)
     open_turn = uncertain_rotation(cov, labels, at)
     nearly_free = bool(context.free or weak_moves(triangle, names_of_moves))
     astray = context.share_astray(sums, whole)
     explained = context.kind.explains(view.touched_misfit, nearly_free)
     weak += (*open_turn, *_disagreement(sums, astray, context.kind.exact and not explained))
     explained = astray <= RULES.astray and (explained or not context.kind.exact)
+    explained = explained and not context.contradictions
     status = _status(triangle, rest, whole, context.hidden, explained, bool(blind or free))
     status = "uncertain" if status == "converged" and open_turn else status
     iou, rms = iou_and_rms([over_all])
@@ -429,20 +431,6 @@ def with_modes(fit: AnyFit, modes: Sequence[AnyFit]) -> AnyFit:
     if modes and fit.status in ("converged", "rank_deficient", "unchecked", "uncertain"):
         fit = fit._replace(status="ambiguous")
     return fit._replace(modes=tuple(modes))
-
-
-def with_unbelieved(fit: Fit, edge: np.ndarray, words: str, doubted: bool) -> Fit:
-    """The fit with the part (n, 2) of the mask's edge that was not believed, if there is one; where
-    that leaves doubts, the camera is not called right."""
-    if not len(edge):
-        return fit
-    weak = (*fit.weak, words)
-    if doubted:
-        weak += (
-            "other views may fit so little of the edge as well: give a `camera` to start from",
-        )
-    status = "uncertain" if doubted and fit.status == "converged" else fit.status
-    return fit._replace(unbelieved=edge, weak=weak, status=status)
 
 
 def without_free(triangle: np.ndarray, free: Sequence[Free]) -> np.ndarray:

@@ -27,10 +27,11 @@ from .._outline.outline_errors import OutlineErrors
 from .._outline.statistics import mask_errors
 from .._solver.least_squares import LinearSolution, Rows, solve
 from .._solver.parameters import components
+from .._solver.priors import contradictions
 from .._solver.problem import FINE_PX, UNIT_PX
 from .._solver.solver import Solver
 from .._solver.uncertainty import BLIND
-from .system import Descent, JointProblem, Part, ViewRows
+from .system import Descent, JointPrior, JointProblem, Part, ViewRows
 
 #: Degrees of freedom of the t distribution of views' residuals: a few bad views count for little.
 #: (With 1 a view 3 times as far off as the middle one has a fifth of the weight, one 10 times a
@@ -93,6 +94,12 @@ class Agreement:
     def solved(self) -> LinearSolution:
         """What determines the unknowns."""
         return solve(self.parts, self.problem.size, np.zeros(self.problem.size))
+
+    @cached_property
+    def contradictions(self) -> tuple[str, ...]:
+        """Sentences on priors that the masks contradict."""
+        priors = self.problem.priors
+        return contradicted(priors, self.prior_rows, self.solved, self.noise, "the masks say")
 
     @property
     def wider(self) -> float:
@@ -186,6 +193,17 @@ def width_by_few(freedom: float) -> float:
     from scipy.stats import t
 
     return float(t.ppf(0.975, freedom)) / NORMAL_95
+
+
+def contradicted(
+    priors: Sequence[JointPrior], rows: list[Rows], solved: LinearSolution, noise: float, by: str
+) -> tuple[str, ...]:
+    """A sentence on each prior that lies too far from what else is known `by` the views, by the
+    priors' rows where all is `solved`."""
+    roots = [part.rows @ solved.root(part.columns) for part in rows]
+    off = np.array([part.left[0] for part in rows]) / noise
+    labels = [prior.label for prior in priors]
+    return contradictions(labels, off, np.array([np.sum(x**2) for x in roots]), by)
 
 
 def agree(

@@ -14,7 +14,8 @@ covariance is the mean of the hypotheses'.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -199,7 +200,9 @@ class ErrorModel:
         """Places (N, 2) in px, and the variance that quantisation leaves in an offset."""
         kinds = [(length, *shape) for length in lengths for shape in shapes]
         distance = np.linalg.norm(at[:, None] - at, axis=-1)
-        correlations = [np.eye(len(at)), *(_correlation(distance, *kind) for kind in kinds)]
+        extent = float(np.sqrt(np.mean(distance**2)))
+        self._alike = [partial(_correlation, extent, *kind) for kind in kinds]
+        correlations = [np.eye(len(at)), *(alike(distance) for alike in self._alike)]
         self._correlation = np.stack(correlations)
 
         # Covariances: a kind and a size. (The same errors with another bias have the same.)
@@ -294,6 +297,12 @@ class ErrorModel:
         covariance = np.tensordot(far, self._correlation, axes=1) + weights @ self._bias**2
         return covariance + weights @ self._near * np.eye(len(covariance))
 
+    def between(self, hypothesis: int, distance: np.ndarray | float) -> np.ndarray:
+        """By how much (px, standard deviation) errors differ at places this far (k,) apart."""
+        kind = self._kind[hypothesis]
+        alike = self._alike[kind - 1](distance) if kind else 1.0
+        return self.size[hypothesis] * np.sqrt(2 * (1 - alike))
+
     def independent(self) -> np.ndarray:
         """As many offsets that are independent have sums of squares that vary as much, by
         hypotheses (h,): correlations count by their squares."""
@@ -302,13 +311,11 @@ class ErrorModel:
         return (count * (far + near)) ** 2 / (alike + (2 * far * near + near**2) * count)
 
 
-def _correlation(distance: np.ndarray, length: float, power: int, whole: int) -> np.ndarray:
-    """The correlation (N, N) of errors at places these distances (N, N) apart: they fall off by
-    that power of the distance, over a length; and `whole` times as much errs over as far as the
-    outline reaches."""
-    reach = float(np.sqrt(np.mean(distance**2)))
+def _correlation(extent: float, length: float, power: int, whole: int, distance: Any) -> np.ndarray:
+    """The correlation of errors at places these distances apart: they fall off by that power of the
+    distance, over a length; and `whole` times as much errs over an outline's extent."""
     fall = lambda length: np.exp(-((distance / length) ** power))
-    return (fall(length) + whole * fall(reach)) / (1 + whole)
+    return (fall(length) + whole * fall(extent)) / (1 + whole)
 
 
 def _mode(found: Evidence) -> np.ndarray:

@@ -23,6 +23,7 @@ from .._fit.result import (
     with_modes,
     without_ended,
 )
+from .._joint.agreement import contradicted
 from .._joint.door import bounds_by_name, owners_of, priors_of, with_unknowns
 from .._joint.system import Descent
 from .._joint.views import JointView, State
@@ -331,11 +332,17 @@ def _reports(found: PointDescent, weights: np.ndarray) -> tuple[PointFit, ...]:
     return tuple(fits)
 
 
-def _solved(problem: PointProblem, end: Descent) -> tuple[LinearSolution, np.ndarray]:
-    """What determines the unknowns at the end of a descent, and the squares' slope (size,)."""
-    parts = problem.parts(end, problem.noise(end))
+def _solved(
+    problem: PointProblem, end: Descent
+) -> tuple[LinearSolution, np.ndarray, tuple[str, ...]]:
+    """What determines the unknowns at the end of a descent, the squares' slope (size,), and
+    sentences on priors that the points contradict."""
+    noise = problem.noise(end)
+    parts = problem.parts(end, noise)
     solved = solve(parts, problem.size, np.zeros(problem.size))
-    return solved, slope_of(parts, problem.size)
+    rows = parts[len(end.seen) :]
+    against = contradicted(problem.priors, rows, solved, noise, "the points say")
+    return solved, slope_of(parts, problem.size), against
 
 
 def _none_left_over(problem: PointProblem) -> str:
@@ -362,7 +369,7 @@ def _report(
     found: PointDescent,
     k: int,
     end: Descent,
-    solved: tuple[LinearSolution, np.ndarray],
+    solved: tuple[LinearSolution, np.ndarray, tuple[str, ...]],
     beyond: np.ndarray,
 ) -> PointFit:
     """The fit of a view at the end of a descent, where all views are `solved`; `beyond` is the root
@@ -375,7 +382,7 @@ def _report(
     labels, scale = labels_of(freed), np.asarray(view.scale, float)
     reported = to_units(view.to_reported, freed, camera)
     # (R by moves of this view, all others eliminated.)
-    known, slope = solved
+    known, slope, against = solved
     triangle = np.linalg.pinv(known.root(place)) * scale
     # (As NumPy's: within `grad` JAX's would be traced, and no report could look at them.)
     along = np.linalg.lstsq(triangle.T, slope[place] * scale, rcond=None)[0]
@@ -397,6 +404,8 @@ def _report(
         words = (*words, ALIKE)
     if unseen:
         status = "rank_deficient"
+    if against:
+        status, words = "misfit", against
     if rms > found.limits[k]:
         status = "misfit"
         words = (f"points lie {rms:.3g} px (rms) from where they are seen: {WRONG}",)

@@ -1,7 +1,7 @@
 """What is known of a camera before it is fitted, as users say it: priors and bounds."""
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import KW_ONLY
 from typing import Any
 
@@ -12,11 +12,15 @@ from jaxtyping import Array, Float
 
 from .._camera.camera import Camera
 from .._numerics.arrays import ArrayLike, check_positive, is_number
+from .._rules import RULES
 from .moves import Bounds
 from .parameters import LABELS, PARAMETERS, labels_of
 
 #: What a parameter is known by: mean and standard deviation, or low and high.
 Pair = tuple[ArrayLike, ArrayLike]
+#: What else is known of a parameter, of which a prior says more than all but this share, tells
+#: nothing of it.
+NOTHING_ELSE = 1e-4
 
 
 class Prior(eqx.Module):
@@ -59,6 +63,22 @@ def prior_of(prior: Mapping[str, Any] | None, base: Camera, freed: tuple[str, ..
     size[place], at[place] = unit / std, mean / unit
     to = lambda x: jnp.asarray(x, base.e.dtype)
     return Prior(to(np.diag(size)), to(at), to(0 * at), in_sigmas=True)
+
+
+def contradictions(
+    labels: Iterable[str], off: np.ndarray, known: np.ndarray, by: str
+) -> tuple[str, ...]:
+    """A sentence on each prior that lies too far from what else is known `by` the mask, say.
+
+    Parameters end `off` (k,) standard deviations from their means, and have this share `known` (k,)
+    of their priors' variances. Without these they would be off by N(0, 1 / (1 - known)) times that.
+    """
+    apart = np.abs(off) / np.sqrt(np.maximum(1 - known, NOTHING_ELSE))
+    return tuple(
+        f"the prior of {label} is {far:.0f} standard deviations from what {by}: one is wrong"
+        for label, far in zip(labels, apart, strict=True)
+        if far > RULES.times
+    )
 
 
 def bounds_of(
