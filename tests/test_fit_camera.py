@@ -82,6 +82,17 @@ def test_targets_may_be_bool_uint8_or_float():
         check_found(pj.fit_camera(SCENE, target, start), CAMERA, worst)
 
 
+def test_half_a_pixel_shows_in_eight_bits():
+    """Pixel centres taken for integers: 0.15 degrees, sigma was 0.002. Samples err by as much."""
+    lens = pj.Lens([48.5, 40.5])
+    shifted = drawn(CAMERA.replace(lens=lens), SCENE)
+    sampled = default_rng(0).binomial(256, EXACT) / 256
+    for mask, status in ((shifted, "misfit"), (sampled, "converged"), (EXACT, "converged")):
+        fit = pj.fit_camera(SCENE, np.uint8(np.round(255 * mask)), CAMERA)
+        assert fit.status == status
+        assert any("pixels err alike" in note for note in fit.weak) == (status == "misfit")
+
+
 @pytest.mark.long
 def test_object_out_of_sight_or_all_over_the_film_is_no_success():
     behind = CAMERA.replace(p=CAMERA.e + np.array([0.0, 0, 4]))

@@ -33,7 +33,7 @@ from .._numerics.arrays import (
     is_number,
 )
 from .._outline.outline_errors import OutlineErrors, is_computed
-from .._outline.statistics import is_explained, mask_errors
+from .._outline.statistics import err_alike, is_explained, mask_errors
 from .._rules import RULES
 from .._scene.scene import Scene, check_scene
 from .._solver.looks import Sums, View
@@ -221,12 +221,14 @@ class Settings(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class _Mode:
     """A camera that may be right: what was `found`, the sums `over_all` pixels, how the mask's
-    outline errs. If the mask is not exact, the account of its edge; if that is not surely computed,
-    the camera's covariance (n, n) by moves, else the move that shows least, and its `shelf`."""
+    outline errs, and whether pixels of an exact mask err alike. If the mask is not exact, the
+    account of its edge; if that is not surely computed, the camera's covariance (n, n) by moves,
+    else the move that shows least, and its `shelf`."""
 
     found: Solution
     over_all: Sums
     errors: OutlineErrors | None
+    err_alike: bool = False
     account: Account | None = None
     covariance: np.ndarray | None = None
     shelf: tuple[np.ndarray, float] | None = None
@@ -235,13 +237,15 @@ class _Mode:
     def from_solution(cls, solver: Solver, found: Solution) -> "_Mode":
         """The mode that squares alone lead to."""
         errors = mask_errors(solver, found.view)
-        return cls(found, found.view.sums, errors, shelf=shelf(solver, found))
+        alike = err_alike(solver, found.view)
+        return cls(found, found.view.sums, errors, alike, shelf=shelf(solver, found))
 
     @classmethod
     def from_candidate(cls, c: Candidate) -> "_Mode":
         """The mode that the likelihood keeps."""
         flat = shelf(c.near, c.found) if c.covariance is None else None
-        return cls(c.found, c.whole.sums, c.errors, c.account, c.covariance, flat)
+        alike = err_alike(c.near, c.found.view)
+        return cls(c.found, c.whole.sums, c.errors, alike, c.account, c.covariance, flat)
 
 
 def _fit(
@@ -385,7 +389,7 @@ def _fit_of(
         astray = None if said is None or edge is None else said.astray(edge)
         hidden = said is not None and bool(np.any(said.gross))
         known = mode.covariance, None if free else mode.shelf
-        beside = *known, _contradictions(solver, mode)
+        beside = *known, _contradictions(solver, mode), mode.err_alike
         context = Context(kind, settings.bounds, about, mode.errors, astray, hidden, *beside)
         return report(mask.camera, mode.found, mode.over_all, freed, context)
 

@@ -25,6 +25,7 @@ from .._fit.drift import sigma_of
 from .._fit.result import Context, gradients
 from .._outline.outline_errors import OutlineErrors
 from .._outline.statistics import mask_errors
+from .._outline.stretches import Blocks
 from .._solver.least_squares import LinearSolution, Rows, solve
 from .._solver.parameters import components
 from .._solver.priors import contradictions
@@ -43,6 +44,8 @@ ROUNDS, SETTLED = 16, 0.1
 NORMAL_95 = 1.959964
 #: How many times a residual's variance masks may err by, against priors.
 DESIGNS = (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0, 4096.0)
+#: Pixels are the same whose coverage, and residual, differ by less.
+SAME = 1e-4
 #: What of a covariance of gradients counts as nothing, beside its largest.
 NOTHING = 1e-10
 #: A parameter moves along a direction if by more than this share of the largest move.
@@ -134,7 +137,8 @@ class Agreement:
         """What the masks' errors, and priors, leave (the sandwich of Huber 1967, a view at a
         time)."""
         views = zip(self.descent.seen, self.gradients, self.problem.weights, strict=True)
-        return self._sandwich([self.wider * w**2 * s.moves.T @ g @ s.moves for s, g, w in views])
+        of_views = [self.wider * w**2 * s.moves.T @ g @ s.moves for s, g, w in views]
+        return self._sandwich(of_views, self._seen_again(of_views))
 
     @cached_property
     def by_pixels(self) -> "Sandwich":
@@ -145,9 +149,43 @@ class Agreement:
         variance = max(squares / count, *(eye.solver.kind.least for eye in eyes))
         return self._sandwich([variance * p.rows.T @ p.rows for p in self.parts[: len(eyes)]])
 
-    def _sandwich(self, of_views: list[np.ndarray]) -> "Sandwich":
+    def _sandwich(self, of_views: list[np.ndarray], more: Sequence[Any] = ()) -> "Sandwich":
         of_all = *of_views, *(self.noise**2 * p.rows.T @ p.rows for p in self.prior_rows)
-        return Sandwich(self.solved, zip((p.columns for p in self.parts), of_all, strict=True))
+        errors = [*zip((p.columns for p in self.parts), of_all, strict=True), *more]
+        return Sandwich(self.solved, errors)
+
+    def _seen_again(self, of_views: list[np.ndarray]) -> list[tuple[np.ndarray, np.ndarray]]:
+        """The shared unknowns, and what the covariance of views' gradients by these lacks: what
+        stands still before a camera that does shows the same pixels again, and their errors, too.
+
+        That covariance G becomes W G W', as that of independent pixels becomes what it is where
+        those that are the same err together.
+        """
+        shared, cameras = self.solved.shared, [eye.shot.camera for eye in self.problem.eyes]
+        if len({*cameras}) == len(cameras) or not len(shared):
+            return []
+        size = len(shared)
+        which = np.full(self.problem.size, size)
+        which[shared] = np.arange(size)
+        keys, rows, whole = [], [], np.zeros((size + 1, size + 1))
+        for k, (seen, of_view) in enumerate(zip(self.descent.seen, of_views, strict=True)):
+            pixels, window = seen.view.pixels, seen.view.level.window()
+            row, column = np.divmod(pixels.cell, window.W + 2)
+            values = np.round(np.stack([pixels.coverage, pixels.residual]) / SAME)
+            number = np.full(len(row), cameras.index(cameras[k]))
+            keys.append(np.stack([number, row + window.bottom, column + window.left, *values]))
+            columns = which[self.problem.columns(k)]
+            rows.append(np.zeros((len(row), size + 1)))
+            rows[-1][:, columns] = self.problem.weights[k] * (pixels.jacobian @ seen.moves)
+            whole[np.ix_(columns, columns)] += of_view
+        alone, known = np.concatenate(rows)[:, :size], whole[:size, :size]
+        together = Blocks.alike(np.concatenate(keys, axis=1).T).sum(alone)
+        values, vectors = np.linalg.eigh(alone.T @ alone)
+        root = vectors * np.sqrt(np.maximum(values, 0))
+        back = np.linalg.pinv(root)
+        values, vectors = np.linalg.eigh(back @ together.T @ together @ back.T)
+        grown = root @ (vectors * np.sqrt(np.maximum(values, 0))) @ vectors.T @ back
+        return [(shared, grown @ known @ grown.T - known)]
 
 
 class Sandwich:

@@ -16,6 +16,7 @@ from .._fit.result import (
     uncertain_rotation,
     widened,
 )
+from .._outline.statistics import err_alike
 from .._rules import RULES
 from .._solver.moves import on_film
 from .._solver.solver import Solution, Stop
@@ -183,8 +184,9 @@ def _is_compared(end: Outcome, k: int) -> bool:
 
 def _is_explained(found: Agreement, k: int) -> bool:
     """True unless a view counts, its mask is exact, and the model does not match it."""
-    kind, view = found.problem.eyes[k].solver.kind, found.descent.seen[k].view
-    explained = not kind.exact or kind.explains(view.touched_misfit, False)
+    solver, view = found.problem.eyes[k].solver, found.descent.seen[k].view
+    explained = not solver.kind.exact or solver.kind.explains(view.touched_misfit, False)
+    explained = explained and not err_alike(solver, view)
     return bool(explained or found.problem.weights[k] < COUNTS)
 
 

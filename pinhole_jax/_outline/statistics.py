@@ -10,10 +10,13 @@ from .._rules import RULES
 from .._solver.looks import View
 from .._solver.solver import Solver
 from .outline_errors import OutlineErrors, is_drawn, outline_errors
+from .stretches import stretches_of
 
 #: What a hard edge leaves in a pixel of the outline, and what 8 bits do.
 ONE_BIT, LEAST_VARIANCE = 1 / 12, 1 / 12 / 255**2
 
+#: By fewer stretches nothing shows whether pixels err alike.
+LEAST_STRETCHES = 8
 #: The target and the weights that a view was last held against, whether all of it was believed, and
 #: the errors found.
 _last: WeakKeyDictionary[View, tuple[tuple[np.ndarray, Weights, bool], OutlineErrors | None]]
@@ -39,6 +42,18 @@ def is_explained(solver: Solver, view: View) -> bool:
         return bool(misfit <= kind.most)
     excess = (misfit - kind.variance) * max(float(view.sums.touched), 1.0)
     return bool(excess <= RULES.times * kind.spread)
+
+
+def err_alike(solver: Solver, view: View) -> bool:
+    """True if neighbouring pixels of an exact mask err alike, by more than its steps explain: not
+    as a renderer's samples do, but as by a lens, a camera constant or a mesh that is wrong."""
+    kind, misfit = solver.kind, view.touched_misfit
+    if not kind.exact or kind.spread or not RULES.times * kind.variance < misfit <= kind.most:
+        return False
+    stretches = stretches_of(view, solver.target, solver.weights)
+    alike = np.zeros(0) if stretches is None else stretches.alike[np.isfinite(stretches.alike)]
+    chance = (2 / max(len(alike), 1)) ** 0.5
+    return len(alike) >= LEAST_STRETCHES and bool(np.mean(alike) > 1 + RULES.times * chance)
 
 
 def quantisation(variance: float, weight: float) -> float:

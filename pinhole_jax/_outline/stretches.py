@@ -13,6 +13,8 @@ from .._solver.looks import HIDDEN, View
 #: What a pixel's coverage differs by counts for the stretch nearest to it, this many px away at
 #: most.
 NEAREST = 16.0
+#: An edge nearly follows the rows, or columns, if its slope is less.
+LEVEL = 1 / 8
 #: As many terms of a sawtooth's Fourier series, and the variance that pixels have by themselves,
 #: since edges bend.
 HARMONICS, BENT = 6, 0.1
@@ -25,6 +27,9 @@ class Stretches(NamedTuple):
     - `offset` (N,): how far outside them the mask's outline lies (px).
     - `by_move` (N, n): their own offset by the solver's moves.
     - `share` (N,): what they count for in the sum of squares.
+    - `alike` (N,): the square of the sum of their pixels' residuals by the sum of the squares: 1 on
+      average where pixels err independently, their number where they err alike. NaN where none
+      errs, and of edges that nearly follow rows or columns: samples on a grid err alike there.
     - `beyond`: how many pixels of the outline the mask has on its wrong side, of this many
       `pixels`.
     """
@@ -34,6 +39,7 @@ class Stretches(NamedTuple):
     offset: np.ndarray
     by_move: np.ndarray
     share: np.ndarray
+    alike: np.ndarray
     beyond: int
     pixels: int
 
@@ -120,7 +126,12 @@ def stretches_of(view: View, target: np.ndarray, weights: Weights) -> Stretches 
     row, column = differing.T
     up = target.shape[0] - 1 - window.bottom - row
     seen = weights_at(weights, up, column + window.left) > 0
-    offset = nearby(differing[seen], missing[seen]) / np.maximum(length, 0.5)
+    area = nearby(differing[seen], missing[seen])
+    offset = area / np.maximum(length, 0.5)
+    slopes = np.abs(blocks.sum(np.column_stack(coverage.growth(*place.T))))
+    tilted = slopes.min(axis=1) > LEVEL * slopes.max(axis=1)
+    squares = np.where(tilted, nearby(differing[seen], missing[seen] ** 2), 0)
+    alike = np.where(squares > 0, area**2, np.nan) / np.where(squares > 0, squares, 1)
 
     # Only pixels with weight say what a move does.
     length_counted = length * blocks.mean(1.0 * (weight > 0))
@@ -133,12 +144,12 @@ def stretches_of(view: View, target: np.ndarray, weights: Weights) -> Stretches 
 
     least = RULES.small * np.median(weight[weight > 0])
     good = (length_counted > 0.5) & (blocks.sum(weight) > least * blocks.length)
-    at, length, offset, by_move, share = (
-        x[good] for x in (blocks.mean(place), length, offset, by_move, share)
+    at, length, offset, by_move, share, alike = (
+        x[good] for x in (blocks.mean(place), length, offset, by_move, share, alike)
     )
     differs = np.abs(pixels.coverage - as_coverage(mask[tuple(place.T)]))[weight > 0]
     beyond = int(np.sum(differs > RULES.wrong_side))
-    return Stretches(at, length, offset, by_move, share, beyond, len(differs))
+    return Stretches(at, length, offset, by_move, share, alike, beyond, len(differs))
 
 
 def quantised(view: View) -> np.ndarray:
