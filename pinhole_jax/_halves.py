@@ -125,7 +125,7 @@ class SplitCheck(NamedTuple):
     @property
     def agrees(self) -> bool:
         """True unless the halves differ by more than error bars that are right allow."""
-        return self.chance > CHANCE
+        return not self.chance <= CHANCE
 
     def __str__(self) -> str:
         """Return it as a table, its verdict first."""

@@ -99,6 +99,7 @@ def test_directions_that_masks_do_not_show_do_not_count():
         found = drift_to(camera, free)
         assert found.sigma < 1
         assert found.by[2] == 0
+        assert ("cannot tell" in str(found)) == (len(hidden) == 7)
 
 
 def test_drift_of_a_partly_fitted_pose():

@@ -186,9 +186,7 @@ test_bad_input_is_refused = refuses(
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    "kind, tolerance", [("exact", 1e-4), full("noisy", 1e-2), full("hard", 3e-2)]
-)
+@pytest.mark.parametrize("kind, tolerance", [("exact", 1e-4), full("noisy", 1e-2), ("hard", 3e-2)])
 def test_derivative_by_the_mesh_equals_refits(masks, kind, tolerance):
     """A fit stops within its tolerance, and the second derivatives of coverage jump."""
     target = {"exact": masks[0], "noisy": noisy(masks)[0], "hard": masks[0] > 0.5}[kind]

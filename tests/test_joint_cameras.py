@@ -31,7 +31,7 @@ def test_views_of_the_same_tell_nothing_more(far_off):
     """What stands still errs alike in all masks: by 12 views a camera was up to 11 sigma off."""
     (view, other), start = far_off[0], TRUTH
     one, four, both = (pj.fit_joint(k, start) for k in ([view], [view] * 4, [view, other]))
-    assert_allclose(four.cameras["camera"].std, one.cameras["camera"].std, rtol=0.02)
+    assert_allclose(four.cameras["camera"].std, one.cameras["camera"].std, rtol=0.1)
     assert np.all(both.cameras["camera"].std < one.cameras["camera"].std)
 
 

@@ -56,6 +56,8 @@ class Drift(NamedTuple):
 
     def __str__(self) -> str:
         """Return it in a line; pitch is up, yaw to the left, roll the right side down."""
+        if not np.any(np.nan_to_num(self.by)) and self.angle + self.distance > 0:
+            return "cannot tell: the masks do not determine where the camera is"
         verdict = "moved" if self.moved else "not moved"
         turn = ", ".join(
             f"{name} {np.rad2deg(x):+.2g}"

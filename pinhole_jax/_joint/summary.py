@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from .._camera.poses import at_pose
+from .._fit.drift import sigma_of
 from .._fit.places import Free, transported
 from .._fit.result import (
     WRONG,
@@ -29,9 +30,6 @@ from .views import MOTIONS, POSE, SCALE, ZERO
 
 #: A view this many times farther off than is usual is named: it has less than 0.28 of the weight.
 OFF = 2.5
-#: Views that differ by this many times what their masks' errors say do not do so by chance: where
-#: two views determine one pose (6 numbers) that has a chance of 5e-4 (chi-squared), with more less.
-TELLING = 2.0
 #: A view with more than this share of its outline far from the mask's edge shows something else; a
 #: fit to more than this share of such views is none.
 LOST, MOST_LOST = 0.25, 1 / 3
@@ -229,7 +227,7 @@ def _weak_scales(scales: dict[str, SceneScale]) -> list[str]:
 def _disagreement(found: Agreement, views: tuple[ViewFit, ...]) -> list[str]:
     """Sentences on how far views differ, and which of them do."""
     apart, astray = [], []
-    if found.excess > TELLING:
+    if sigma_of(found.excess**2 * found.freedom, found.freedom) > RULES.times:
         apart.append(
             f"views differ {found.excess:.1f} times as much as their masks' errors explain: check"
             " joint angles, meshes, transforms and the lens"

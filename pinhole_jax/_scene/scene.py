@@ -202,9 +202,9 @@ def padded(scene: Scene) -> Scene:
         return scene
     V, F, E = _filled_sizes(len(mesh.vertices), len(mesh.faces), len(mesh.edge_faces))
     arrays = lambda m: (m.vertices, m.faces, m.edge_vertices, m.edge_faces)
-    # (By NumPy: JAX would compile that for each size.)
+    # (By NumPy: JAX would compile that for each size; within `grad` its `asarray` is traced.)
     pairs = zip(arrays(mesh), (V, F, E, E), strict=True)
-    filled = [jnp.asarray(filled_up(np.asarray(x), size, 0)) for x, size in pairs]
+    filled = jax.device_put([filled_up(np.asarray(x), size, 0) for x, size in pairs])
     return Scene(mesh=eqx.tree_at(arrays, mesh, (*filled,)), spheres=scene.spheres)
 
 

@@ -52,7 +52,7 @@ def levels(fit: Fit) -> list[tuple[Progress, int, int]]:
     return ends
 
 
-def _text(x: float, y: float, words: object, kind: str = "m") -> str:
+def _text(x: float | int, y: float | int, words: object, kind: str = "m") -> str:
     return f'<text x="{x:.1f}" y="{y:.1f}" class="{kind}">{words}</text>'
 
 
