@@ -53,6 +53,11 @@ from .refine import Candidate, Refiner, likeliest
 from .result import Context, Fit, Progress, progress_at, report, with_modes
 from .strategy import everywhere, free_about, from_start, to_the_end, turns_freely
 
+ALIKE = (
+    "pixels err alike along the outline, unlike a renderer's samples: mesh, lens, or what is not"
+    " free is slightly wrong"
+)
+
 
 def fit_camera(
     scene: Scene,
@@ -389,7 +394,7 @@ def _fit_of(
         astray = None if said is None or edge is None else said.astray(edge)
         hidden = said is not None and bool(np.any(said.gross))
         known = mode.covariance, None if free else mode.shelf
-        beside = *known, _contradictions(solver, mode), mode.err_alike
+        beside = *known, _contradictions(solver, mode)
         context = Context(kind, settings.bounds, about, mode.errors, astray, hidden, *beside)
         return report(mask.camera, mode.found, mode.over_all, freed, context)
 
@@ -426,9 +431,10 @@ def _doubts(best: _Mode, said: Account, alone: bool) -> list[str]:
 
 
 def _contradictions(solver: Solver, mode: _Mode) -> tuple[str, ...]:
-    """Sentences on priors that the mask contradicts."""
+    """Sentences on priors that the mask contradicts, and on what is not free."""
+    alike = (ALIKE,) if mode.err_alike else ()
     if not solver.weighs_prior:
-        return ()
+        return alike
     off, rows = solver.known(mode.found.camera)
     if mode.covariance is not None and mode.account is not None:
         known = mode.account.errors.covariance
@@ -438,7 +444,7 @@ def _contradictions(solver: Solver, mode: _Mode) -> tuple[str, ...]:
         rows, triangle = np.asarray(view.known, float), np.asarray(view.triangle, float)
         known = np.linalg.pinv(triangle.T @ triangle)
     share = np.einsum("ki,ij,kj->k", rows, known, rows)
-    return contradictions(labels_of(solver.freed), off, share, "the mask says")
+    return *alike, *contradictions(labels_of(solver.freed), off, share, "the mask says")
 
 
 def anywhere(

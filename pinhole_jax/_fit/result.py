@@ -37,10 +37,6 @@ from .words import STATUSES, ParameterTable, accuracy, parameter_lines, paramete
 FLOOR = 1000
 #: A solver's last step is off by this share of the step that it calls negligible.
 LAST_STEP = 0.2
-ALIKE = (
-    "pixels err alike along the outline, unlike a renderer's samples: mesh, lens, or what is not"
-    " free is slightly wrong"
-)
 WRONG = "there the mask, the mesh or the camera is wrong"
 #: A move that hardly shows is no weakness where it is known to this many px (one sigma).
 KNOWN_PX = 0.01
@@ -268,8 +264,7 @@ def progress_at(stop: Stop, camera: Camera) -> Progress:
 class Context(NamedTuple):
     """What is known beside a view: the mask's kind, bounds, the directions found to be free, how
     the outline errs; where the likelihood gives it, the `covariance` (n, n) by moves; else the move
-    that shows least, and its `shelf`; how the mask contradicts a prior; whether neighbouring pixels
-    of an exact mask err alike."""
+    that shows least, and its `shelf`; how the mask contradicts a prior, or what is not free."""
 
     kind: Kind
     bounds: Bounds | None = None
@@ -280,7 +275,6 @@ class Context(NamedTuple):
     covariance: np.ndarray | None = None
     shelf: tuple[np.ndarray, float] | None = None
     contradictions: tuple[str, ...] = ()
-    err_alike: bool = False
 
     def share_astray(self, near: Any, whole: Any) -> float:
         """The share of the outline that nothing explains: where nothing better is known, that which
@@ -329,14 +323,13 @@ def report(
     words = partial(moves_in_words, names_of_moves, axes_of(at))
     blind, weak = weak_directions(triangle, words, BLIND[dtype], moves)
     weak = (*map(str, free), *weak, *ended, *context.contradictions)
-    weak += (ALIKE,) if context.err_alike else ()
     open_turn = uncertain_rotation(cov, labels, at)
     nearly_free = bool(context.free or weak_moves(triangle, names_of_moves))
     astray = context.share_astray(sums, whole)
     explained = context.kind.explains(view.touched_misfit, nearly_free)
     weak += (*open_turn, *_disagreement(sums, astray, context.kind.exact and not explained))
     explained = astray <= RULES.astray and (explained or not context.kind.exact)
-    explained = explained and not context.contradictions and not context.err_alike
+    explained = explained and not context.contradictions
     status = _status(triangle, rest, whole, context.hidden, explained, bool(blind or free))
     status = "uncertain" if status == "converged" and open_turn else status
     iou, rms = iou_and_rms([over_all])

@@ -18,8 +18,7 @@ from .parameters import LABELS, PARAMETERS, labels_of
 
 #: What a parameter is known by: mean and standard deviation, or low and high.
 Pair = tuple[ArrayLike, ArrayLike]
-#: What else is known of a parameter, of which a prior says more than all but this share, tells
-#: nothing of it.
+#: What is known beside a prior is nothing if that says all but this share.
 NOTHING_ELSE = 1e-4
 
 
