@@ -303,8 +303,7 @@ def report(
     if context.covariance is None:
         rest = at_rest(triangle, along, sums.squares, sums.touched, dtype, found.ended)
     triangle = without_free(triangle, context.free)
-    noise = sums.touched_squares / max(sums.touched - n, 1)
-    noise = max(noise, context.kind.least)
+    noise = max(sums.touched_squares / max(sums.touched - n, 1), context.kind.least)
     both = gradients(view, noise, context)
     if context.covariance is not None:
         normal = triangle.T @ triangle
