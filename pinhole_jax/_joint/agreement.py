@@ -24,7 +24,7 @@ import numpy as np
 from .._fit.drift import sigma_of
 from .._fit.result import Context, gradients
 from .._outline.outline_errors import OutlineErrors
-from .._outline.statistics import mask_errors
+from .._outline.statistics import err_alike, mask_errors
 from .._outline.stretches import Blocks
 from .._solver.least_squares import LinearSolution, Rows, solve
 from .._solver.parameters import components
@@ -32,7 +32,7 @@ from .._solver.priors import contradictions
 from .._solver.problem import FINE_PX, UNIT_PX
 from .._solver.solver import Solver
 from .._solver.uncertainty import BLIND
-from .system import Descent, JointPrior, JointProblem, Part, ViewRows
+from .system import LEAST_DAMPING, Descent, JointPrior, JointProblem, Part, ViewRows
 
 #: Degrees of freedom of the t distribution of views' residuals: a few bad views count for little.
 #: (With 1 a view 3 times as far off as the middle one has a fifth of the weight, one 10 times a
@@ -40,6 +40,10 @@ from .system import Descent, JointPrior, JointProblem, Part, ViewRows
 HEAVY = 1.0
 #: Rounds of weights at most; those that change by a smaller share have settled.
 ROUNDS, SETTLED = 16, 0.1
+#: A view this many times farther off than is usual is named: it has less than 0.28 of the weight.
+#: Exact masks are so narrow that this would show: one that the model does not match has none, nor
+#: has another kind of mask among them.
+OFF, NO_WEIGHT = 2.5, 1e-6
 #: Of a normal distribution 95 % lie within this many standard deviations.
 NORMAL_95 = 1.959964
 #: How many times a residual's variance masks may err by, against priors.
@@ -80,6 +84,12 @@ class Agreement:
         """The agreement of the other views, and priors, by themselves."""
         weights = np.where(np.arange(len(self.off)) == view, 0.0, self.problem.weights)
         return replace(self, problem=replace(self.problem, weights=weights))
+
+    def explains(self, k: int) -> bool:
+        """True unless the mask of a view is exact, and the model does not match it."""
+        solver, view = self.problem.eyes[k].solver, self.descent.seen[k].view
+        matches = not solver.kind.exact or solver.kind.explains(view.touched_misfit, False)
+        return matches and not err_alike(solver, view)
 
     @cached_property
     def parts(self) -> list[Rows]:
@@ -256,10 +266,15 @@ def agree(
     for _ in range(ROUNDS):
         here = _agreement(problem, found, counts)
         further = counts * np.minimum((HEAVY + 1) / (HEAVY + here.off**2), 1.0)
+        exact = np.array([eye.solver.kind.exact for eye in problem.eyes])
+        wrong = [off > OFF and not here.explains(k) for k, off in enumerate(here.off)]
+        wrong |= (here.off > OFF) & ~exact & (np.mean(exact) > 0.5)
+        further = np.where(wrong, np.minimum(further, NO_WEIGHT), further)
         if len(counts) < 3 or np.max(np.abs(np.log(further / problem.weights))) < SETTLED:
             return here
         problem = replace(problem, weights=further)
-        found = found.then(problem.descend(found.state, problem.max_steps, px))
+        most = problem.max_steps
+        found = found.then(problem.descend(found.state, most, px, LEAST_DAMPING))
     return _agreement(problem, found, counts)
 
 

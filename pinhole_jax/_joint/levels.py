@@ -109,7 +109,8 @@ def finish(problem: JointProblem, path: Descent, tell: Tell, photos: bool = Fals
     eyes, reach, near = problem.eyes, problem.outlier_px, problem
     misfits = [seen.view.touched_misfit for seen in path.seen]
     inexact = [k for k, misfit in enumerate(misfits) if misfit > RULES.exact]
-    px = DRAWN_PX if inexact else FINE_PX[problem.dtype]
+    exact = {k for k, eye in enumerate(eyes) if eye.solver.kind.exact} - {*inexact}
+    px = FINE_PX[problem.dtype] if exact or not inexact else DRAWN_PX
     if reach is None or not inexact:
         path = path.then(descend(problem, path.state, tell, [1], px))
     else:

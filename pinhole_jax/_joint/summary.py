@@ -17,19 +17,16 @@ from .._fit.result import (
     uncertain_rotation,
     widened,
 )
-from .._outline.statistics import err_alike
 from .._rules import RULES
 from .._solver.moves import on_film
 from .._solver.solver import Solution, Stop
 from ..names import STATUSES
-from .agreement import HARDLY, Agreement, forget
+from .agreement import HARDLY, OFF, Agreement, forget
 from .joint_fit import JointFit, JointZeros, ObjectFit, SceneScale, ViewFit
 from .levels import Outcome
 from .system import Part
 from .views import MOTIONS, POSE, SCALE, ZERO
 
-#: A view this many times farther off than is usual is named: it has less than 0.28 of the weight.
-OFF = 2.5
 #: A view with more than this share of its outline far from the mask's edge shows something else; a
 #: fit to more than this share of such views is none.
 LOST, MOST_LOST = 0.25, 1 / 3
@@ -153,7 +150,8 @@ def _status(
         return "no_overlap", ()
     if not found.descent.ended:
         return "max_steps", ()
-    if wrong := [str(k) for k in numbers if not _is_explained(found, k)]:
+    counts = [k for k in numbers if found.problem.weights[k] >= COUNTS or len(numbers) == 1]
+    if wrong := [str(k) for k in counts if not found.explains(k)]:
         words = f"views {', '.join(wrong)}: the model does not match exact masks closely enough"
         return "misfit", (words,)
     astray = [views[k].astray for k in numbers]
@@ -178,14 +176,6 @@ def _is_compared(end: Outcome, k: int) -> bool:
     views share it, or there is no other."""
     lone = end.problem.lone_poses
     return any(k in views and (len(views) > 1 or len(lone) == 1) for views in lone.values())
-
-
-def _is_explained(found: Agreement, k: int) -> bool:
-    """True unless a view counts, its mask is exact, and the model does not match it."""
-    solver, view = found.problem.eyes[k].solver, found.descent.seen[k].view
-    explained = not solver.kind.exact or solver.kind.explains(view.touched_misfit, False)
-    explained = explained and not err_alike(solver, view)
-    return bool(explained or found.problem.weights[k] < COUNTS)
 
 
 def _scales(found: Agreement) -> dict[str, SceneScale]:

@@ -308,11 +308,14 @@ class JointProblem:
 
     # --- least squares ---------------------------------------------------------------------------
 
-    def descend(self, state: State, most: int, px: float) -> Descent:
+    def descend(
+        self, state: State, most: int, px: float, damping: float = FIRST_DAMPING
+    ) -> Descent:
         """The end of at most this many steps of Levenberg-Marquardt; those below `px` are
-        negligible."""
+        negligible. (Damped ones are, too, along what hardly shows: near the end begin with less.)
+        """
         here, size = self.stay(state), np.zeros(self.size)
-        squares, damping, steps, ended = np.inf, FIRST_DAMPING, 0, False
+        squares, steps, ended = np.inf, 0, False
         while steps < most and not ended:
             steps += 1
             noise = self.noise(here)
