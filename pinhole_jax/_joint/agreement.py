@@ -48,8 +48,8 @@ OFF, NO_WEIGHT = 2.5, 1e-6
 NORMAL_95 = 1.959964
 #: How many times a residual's variance masks may err by, against priors.
 DESIGNS = (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0, 4096.0)
-#: Pixels are the same whose coverage, and residual, differ by less.
-SAME = 1e-4
+#: Coverage and residuals that are the same agree to four of so many parts.
+LEVELS = 1 << 16
 #: What of a covariance of gradients counts as nothing, beside its largest.
 NOTHING = 1e-10
 #: A parameter moves along a direction if by more than this share of the largest move.
@@ -83,7 +83,9 @@ class Agreement:
     def without(self, view: int) -> "Agreement":
         """The agreement of the other views, and priors, by themselves."""
         weights = np.where(np.arange(len(self.off)) == view, 0.0, self.problem.weights)
-        return replace(self, problem=replace(self.problem, weights=weights))
+        less = replace(self, problem=replace(self.problem, weights=weights))
+        vars(less)["_pixels"] = self._pixels  # (They are the same, and take a while to compare.)
+        return less
 
     def explains(self, k: int) -> bool:
         """True unless the mask of a view is exact, and the model does not match it."""
@@ -171,31 +173,52 @@ class Agreement:
         That covariance G becomes W G W', as that of independent pixels becomes what it is where
         those that are the same err together.
         """
-        shared, cameras = self.solved.shared, [eye.shot.camera for eye in self.problem.eyes]
-        if len({*cameras}) == len(cameras) or not len(shared):
+        if self._pixels is None:
             return []
-        size = len(shared)
-        which = np.full(self.problem.size, size)
-        which[shared] = np.arange(size)
-        keys, rows, whole = [], [], np.zeros((size + 1, size + 1))
-        for k, (seen, of_view) in enumerate(zip(self.descent.seen, of_views, strict=True)):
-            pixels, window = seen.view.pixels, seen.view.level.window()
-            row, column = np.divmod(pixels.cell, window.W + 2)
-            values = np.round(np.stack([pixels.coverage, pixels.residual]) / SAME)
-            number = np.full(len(row), cameras.index(cameras[k]))
-            keys.append(np.stack([number, row + window.bottom, column + window.left, *values]))
-            columns = which[self.problem.columns(k)]
-            rows.append(np.zeros((len(row), size + 1)))
-            rows[-1][:, columns] = self.problem.weights[k] * (pixels.jacobian @ seen.moves)
-            whole[np.ix_(columns, columns)] += of_view
-        alone, known = np.concatenate(rows)[:, :size], whole[:size, :size]
-        together = Blocks.alike(np.concatenate(keys, axis=1).T).sum(alone)
+        rows, view, same = self._pixels
+        known = np.zeros((rows.shape[1] + 1,) * 2)
+        for k, of_view in enumerate(of_views):
+            columns = self._among_shared(k)
+            known[np.ix_(columns, columns)] += of_view
+        known, alone = known[:-1, :-1], self.problem.weights[view][:, None] * rows
+        together = same.sum(alone)
         values, vectors = np.linalg.eigh(alone.T @ alone)
         root = vectors * np.sqrt(np.maximum(values, 0))
         back = np.linalg.pinv(root)
         values, vectors = np.linalg.eigh(back @ together.T @ together @ back.T)
         grown = root @ (vectors * np.sqrt(np.maximum(values, 0))) @ vectors.T @ back
-        return [(shared, grown @ known @ grown.T - known)]
+        return [(self.solved.shared, grown @ known @ grown.T - known)]
+
+    @cached_property
+    def _pixels(self) -> tuple[np.ndarray, np.ndarray, Blocks] | None:
+        """The residuals' derivatives (P, s) by shared unknowns at all views' pixels, the view that
+        each is of, and which are the same; None where no camera has several views."""
+        cameras = [eye.shot.camera for eye in self.problem.eyes]
+        size = len(self.solved.shared)
+        if len({*cameras}) == len(cameras) or not size:
+            return None
+        keys, rows, view = [], [], []
+        for k, seen in enumerate(self.descent.seen):
+            pixels, window = seen.view.pixels, seen.view.level.window()
+            H, W = self.problem.eyes[k].solver.target.shape
+            row, column = np.divmod(pixels.cell, window.W + 2)
+            place = (row + window.bottom) * (W + 2) + column + window.left
+            key = cameras.index(cameras[k]) * (H + 2) * (W + 2) + place
+            for value in (pixels.coverage, pixels.residual):
+                # (All that are the same have the same bits: their geometry is.)
+                key = key * LEVELS + np.round(value * (LEVELS // 4)).astype(np.int64) % LEVELS
+            keys.append(key)
+            rows.append(np.zeros((len(key), size + 1)))
+            rows[-1][:, self._among_shared(k)] = pixels.jacobian @ seen.moves
+            view.append(np.full(len(key), k))
+        same = Blocks.alike(np.concatenate(keys)[:, None])
+        return np.concatenate(rows)[:, :size], np.concatenate(view), same
+
+    def _among_shared(self, k: int) -> np.ndarray:
+        """Which of the shared unknowns (s,) those of a view are: s of its own."""
+        shared, columns = self.solved.shared, self.problem.columns(k)
+        at = np.minimum(np.searchsorted(shared, columns), len(shared) - 1)
+        return np.where(shared[at] == columns, at, len(shared))
 
 
 class Sandwich:
