@@ -48,7 +48,7 @@ OFF, NO_WEIGHT = 2.5, 1e-6
 NORMAL_95 = 1.959964
 #: How many times a residual's variance masks may err by, against priors.
 DESIGNS = (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0, 4096.0)
-#: Coverage and residuals that are the same agree to four of so many parts.
+#: Coverage and residuals of pixels that are the same agree to a 16384th.
 LEVELS = 1 << 16
 #: What of a covariance of gradients counts as nothing, beside its largest.
 NOTHING = 1e-10
