@@ -38,9 +38,12 @@ def test_vertices_far_from_the_origin_are_warned_of_in_float32(kind):
     assert near.vertices.dtype == np.float32
     if kind is np.float64:
         pj.Mesh(given, cube.faces)
-    words = r"`vertices`: float32 .*steps of 0.5, 1/\d of the"
-    with jax.enable_x64(False), pytest.warns(UserWarning, match=words):
-        mesh = pj.Mesh(given, cube.faces)
+    jax.config.update("jax_enable_x64", False)
+    try:
+        with pytest.warns(UserWarning, match=r"`vertices`: float32 .*steps of 0.5, 1/\d of the"):
+            mesh = pj.Mesh(given, cube.faces)
+    finally:
+        jax.config.update("jax_enable_x64", True)
     assert np.max(np.abs(np.asarray(mesh.vertices, float) - far)) > 0.1
 
 
