@@ -156,3 +156,15 @@ def test_nut_fits_as_well_one_side_on(sides, monkeypatch):
             views.append([f.camera.e for f in (fit, *fit.modes)])
         np.testing.assert_array_equal(*views)
         assert min(degrees(f, camera) for f in (fit, *fit.modes)) < 1
+
+
+@pytest.mark.long
+def test_camera_where_steps_do_not_end_is_uncertain():
+    """A blurred chair, 29 degrees off: sigma is 3.5, the likeliest camera 9 of them away."""
+    random = np.random.default_rng([970048, *map(ord, "chair")])
+    scene, truth = honesty.view("chair", random, 40, 230)
+    mask = honesty.WRONG["soft"](honesty.mask_of(truth, scene), random)
+    start = honesty.start_off(truth, 10, *random.normal(size=(2, 3)))
+    fit = pj.fit_camera(scene, mask, start)
+    assert fit.status == "uncertain"
+    assert "steps do not end there" in " ".join(fit.weak)
