@@ -393,9 +393,8 @@ def _fit_of(
         said = mode.account
         astray = None if said is None or edge is None else said.astray(edge)
         hidden = said is not None and bool(np.any(said.gross))
-        known = mode.covariance, None if free else mode.shelf
-        beside = *known, _contradictions(solver, mode)
-        context = Context(kind, settings.bounds, about, mode.errors, astray, hidden, *beside)
+        known = mode.covariance, None if free else mode.shelf, _contradictions(solver, mode)
+        context = Context(kind, settings.bounds, about, mode.errors, astray, hidden, *known)
         return report(mask.camera, mode.found, mode.over_all, freed, context)
 
     said, note = None, None

@@ -290,9 +290,9 @@ def agree(
         here = _agreement(problem, found, counts)
         further = counts * np.minimum((HEAVY + 1) / (HEAVY + here.off**2), 1.0)
         exact = np.array([eye.solver.kind.exact for eye in problem.eyes])
-        wrong = [off > OFF and not here.explains(k) for k, off in enumerate(here.off)]
-        wrong |= (here.off > OFF) & ~exact & (np.mean(exact) > 0.5)
-        further = np.where(wrong, np.minimum(further, NO_WEIGHT), further)
+        for k in np.flatnonzero(here.off > OFF).tolist():
+            if not here.explains(k) or (not exact[k] and np.mean(exact) > 0.5):
+                further[k] = min(further[k], NO_WEIGHT)
         if len(counts) < 3 or np.max(np.abs(np.log(further / problem.weights))) < SETTLED:
             return here
         problem = replace(problem, weights=further)

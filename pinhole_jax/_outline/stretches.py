@@ -112,25 +112,26 @@ def stretches_of(view: View, target: np.ndarray, weights: Weights) -> Stretches 
     row, column, inside, _ = _neighbours(place, coverage.shape, 1)
     row, column = row[inside], column[inside]
     steepness = np.hypot(*coverage.growth(row, column)) / 2  # (its sum is the outline's length)
-    blocks, tree = _stretched(place, coverage, float(np.sum(steepness))), KDTree(place)
+    slopes = np.column_stack(coverage.growth(*place.T))
+    blocks, tree = _stretched(place, slopes, float(np.sum(steepness))), KDTree(place)
 
-    def nearby(place: np.ndarray, values: np.ndarray) -> np.ndarray:
+    def nearby(place: np.ndarray, *values: np.ndarray) -> list[np.ndarray]:
         found: Any = tree.query(place, distance_upper_bound=NEAREST)
         near = found[0] < np.inf
-        return np.bincount(blocks.of[found[1][near]], values[near], len(blocks.length))
+        of = blocks.of[found[1][near]]
+        return [np.bincount(of, x[near], len(blocks.length)) for x in values]
 
     # Areas, not distances: what the mask has beyond the outline, for each px of it.
-    length = nearby(np.column_stack([row, column]), steepness)
+    (length,) = nearby(np.column_stack([row, column]), steepness)
     mask = window.crop(target)[::-1]
     differing, missing = _differing(place, coverage, mask)
     row, column = differing.T
     up = target.shape[0] - 1 - window.bottom - row
     seen = weights_at(weights, up, column + window.left) > 0
-    area = nearby(differing[seen], missing[seen])
+    area, squares = nearby(differing[seen], missing[seen], missing[seen] ** 2)
     offset = area / np.maximum(length, 0.5)
-    slopes = np.abs(blocks.sum(np.column_stack(coverage.growth(*place.T))))
-    tilted = slopes.min(axis=1) > LEVEL * slopes.max(axis=1)
-    squares = np.where(tilted, nearby(differing[seen], missing[seen] ** 2), 0)
+    less, more = np.sort(np.abs(blocks.sum(slopes)), axis=1).T
+    squares = np.where(less > LEVEL * more, squares, 0)
     alike = np.where(squares > 0, area**2, np.nan) / np.where(squares > 0, squares, 1)
 
     # Only pixels with weight say what a move does.
@@ -224,10 +225,10 @@ def _neighbours(
     return row, column, inside, slot[around]
 
 
-def _stretched(place: np.ndarray, coverage: "Coverage", length: float) -> Blocks:
-    """Return pixels (P, 2) of an outline of a length (px) by stretches; both sides of a thin part
-    are stretches of their own."""
-    up, right = coverage.growth(*place.T)
+def _stretched(place: np.ndarray, slopes: np.ndarray, length: float) -> Blocks:
+    """Return pixels (P, 2) of an outline of a length (px) by stretches; both sides of a thin part,
+    whose slopes (P, 2) differ, are stretches of their own."""
+    up, right = slopes.T
     side = np.round(np.arctan2(up, right) / (np.pi / 2)) % 4
     size = max(RULES.stretch, length / RULES.stretches)
     return Blocks.alike(np.column_stack([place // size, side]))

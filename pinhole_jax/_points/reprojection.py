@@ -128,8 +128,8 @@ class Matches(eqx.Module):
     def look(self, camera: Camera, level: int = 0) -> View:
         """The view at a camera (canonical)."""
         del level
-        found: Any = jax.tree.map(np.asarray, self._look(camera))
-        triangle, along, to_reported, scale, squares = found[:5]
+        found: Any = jax.tree.map(np.asarray, self._look(camera)[:5])
+        triangle, along, to_reported, scale, squares = found
         nothing: Any = np.zeros(())
         sums, known = Sums(squares, *[nothing] * 6), np.zeros((0, len(scale)))
         return View(triangle, along, sums, to_reported, scale, known, 0.0)
