@@ -39,4 +39,4 @@ def taken(unit, scene, data, level, size=None):
     problem, y = problem_of(scene, data), jnp.zeros(7, data.cells.dtype)
     move = problem.move(unit, level, FREE)
     look = eqx.filter_jit(looks.look)(y, move, problem, level, FREE, size)
-    return looks.View.from_origin(looks.Origin(look, problem, level, FREE, size))
+    return looks.View.from_look(look, looks.Origin(unit, problem, level, FREE, size))

@@ -140,11 +140,11 @@ def edge_of(mask: Mask) -> Edge:
 
 def outline_seen(solver: Solver, camera: Camera, number: int) -> OutlinePoints | None:
     """The outline that a camera sees on a level, None where it sees none."""
-    view = solver.look(camera, number)
-    place, _, share, rows = OutlinePixels.from_view(view).weighed()
+    seen = solver.outline(camera, number)
+    place, _, share, rows = OutlinePixels.from_view(seen).weighed()
     if len(place) < 8 or not np.all(np.isfinite(rows)):
         return None
-    level, around = view.level, outline_means(view, place, rows)
+    level, around = seen.level, outline_means(seen, place, rows)
     px = len(solver.target) / float(level.scale)
     out = units(-around.slope)
     by_move = around.rows / np.maximum(around.steepness, 1e-3)[:, None]

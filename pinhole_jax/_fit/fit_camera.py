@@ -49,7 +49,7 @@ from .likelihood import Account
 from .occluders import from_all_sides, near_starts
 from .photo import COLOURS, check_photo, on_photo
 from .places import Free, settled, shelf, tilted, transported, turned_about
-from .refine import Candidate, Refiner, likeliest
+from .refine import Candidate, Refiner
 from .result import Context, Fit, Progress, progress_at, report, with_modes
 from .strategy import everywhere, free_about, from_start, to_the_end, turns_freely
 
@@ -280,22 +280,22 @@ def _fit(
     else:
         # 2. Refine each on the part of the mask's edge that it believes.
         explained = solver.kind.exact and is_explained(solver, places.best.view)
-        refiner = Refiner.on(solver, mask, reach, settings.differentiable or explained)
+        refiner = Refiner.on(solver, mask, start, reach, settings.differentiable or explained)
         alike = [places.best, *places.others]
-        found = refiner.candidates([*alike, *places.rivals], start)
-        best, *_ = kept = likeliest(found, min(len(alike), len(found)), start)
+        found = refiner.candidates([*alike, *places.rivals])
+        best, *_ = kept = refiner.likeliest(found, min(len(alike), len(found)))
 
         # 3. Where the likeliest believes too little, propose cameras behind an occluder.
         if turns_freely(freed) and refiner.is_hidden(best):
             say("model and mask disagree: looking for something in front of the object")
-            found += behind_something(refiner, best, start)
-            kept = likeliest(found, 0, start)
+            found += behind_something(refiner, best)
+            kept = refiner.likeliest(found)
 
         # Of a drawn mask the likeliest is not where descents on pixels end: begin again, and look
         # round it.
         if kept[0].covariance is not None:
-            found += looked_about(refiner, kept[0], start)
-            kept = likeliest(found, 0, start)
+            found += looked_about(refiner, kept[0])
+            kept = refiner.likeliest(found)
 
         # 4. Keep the modes.
         best, near, edge = kept[0], kept[0].near, refiner.edge
@@ -321,16 +321,16 @@ def _leaves_nothing(solver: Solver, view: View, mask: Mask) -> bool:
     return solver.kind.exact or is_computed(mask_errors(solver, view))
 
 
-def looked_about(refiner: Refiner, best: Candidate, start: Camera | None) -> list[Candidate]:
+def looked_about(refiner: Refiner, best: Candidate) -> list[Candidate]:
     """Candidates round about one: from the start, what looks alike, and what is tilted. (An outline
     that is all too far out or in tilts what is flat, and steps that know it do not lead back.)"""
-    solver, camera = refiner.solver, best.found.camera
+    solver, camera, start = refiner.solver, best.found.camera, refiner.start
     again = [*([] if start is None else [start]), *lookalikes(solver, camera)]
-    found = refiner.proposals(again, best.log)
+    found = refiner.proposals(again, best)
     if turns_freely(solver.freed):
-        best, *_ = likeliest([best, *found], 0, start)
+        best, *_ = refiner.likeliest([best, *found])
         tilts = tilted(best.found.camera, solver.subject.ball.centre)
-        found += refiner.proposals(tilts, best.log, RULES.followed)
+        found += refiner.proposals(tilts, best, RULES.followed)
     return found
 
 
@@ -343,21 +343,21 @@ def lookalikes(solver: Solver, camera: Camera) -> list[Camera]:
     return cameras
 
 
-def behind_something(refiner: Refiner, plain: Candidate, start: Camera | None) -> list[Candidate]:
+def behind_something(refiner: Refiner, plain: Candidate) -> list[Candidate]:
     """Candidates that see the object behind something: from what is known, then from all sides."""
+    solver, mask, edge, start = refiner.solver, refiner.mask, refiner.edge, refiner.start
     known = [plain.found.camera] if start is None else [start, plain.found.camera]
-    solver, mask, edge = refiner.solver, refiner.mask, refiner.edge
     found: list[Candidate] = []
     best = plain
     for proposed in (
         lambda: near_starts(solver, edge, known),
         lambda: from_all_sides(solver, mask, edge),
     ):
-        found += refiner.proposals(proposed(), best.log)
+        found += refiner.proposals(proposed(), best)
         before, best = best, max([best, *found], key=lambda c: c.log)
         if best is not before:
             twins = solver.subject.alike.views(best.found.camera)
-            found += refiner.proposals(twins, best.log)
+            found += refiner.proposals(twins, best)
         if start is not None and best.is_explained():
             break
     return found

@@ -204,10 +204,12 @@ class Likelihood:
         first = max(tried, key=lambda x: x.log).gross
         wider = [_widened(first, by) for by in WIDER] if np.any(first) else []
         tried += [read(x, self._rough) for x in wider if np.mean(x) <= 1 - RULES.small]
-        likeliest = sorted(tried, key=lambda x: -x.log)
+        first, *others = sorted(tried, key=lambda x: -x.log)
         if roughly:
-            return likeliest[0]
-        return max((read(x.gross, self._fine) for x in likeliest[:2]), key=lambda x: x.log)
+            return first
+        # (More hypotheses make readings that differ by so much no more alike.)
+        near = [x for x in others[:1] if x.log > first.log - 2 * RULES.as_likely]
+        return max((read(x.gross, self._fine) for x in [first, *near]), key=lambda x: x.log)
 
     def _runs(self, offset: np.ndarray) -> list[np.ndarray]:
         """None, and the cheapest runs (N,) of gross offsets for each size of the others; nothing if

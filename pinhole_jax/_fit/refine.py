@@ -64,15 +64,19 @@ class Refiner:
 
     solver: Solver
     mask: Mask
+    start: Camera | None
     likelihood: Likelihood
     outlier_px: float
     plainly: bool
 
     @classmethod
-    def on(cls, solver: Solver, mask: Mask, outlier_px: float, plainly: bool) -> "Refiner":
-        """The refiner on a mask's edge; `plainly`: by least squares alone."""
+    def on(
+        cls, solver: Solver, mask: Mask, start: Camera | None, outlier_px: float, plainly: bool
+    ) -> "Refiner":
+        """The refiner on a mask's edge, from a start or anywhere; `plainly`: by least squares
+        alone."""
         noise = quantisation(solver.kind.variance, mask.usual_weight)
-        return cls(solver, mask, Likelihood(edge_of(mask), noise), outlier_px, plainly)
+        return cls(solver, mask, start, Likelihood(edge_of(mask), noise), outlier_px, plainly)
 
     @property
     def edge(self) -> Edge:
@@ -82,48 +86,49 @@ class Refiner:
     def candidates(
         self,
         cameras: Iterable[Solution],
-        start: Camera | None = None,
-        best: float | None = None,
+        best: Candidate | None = None,
         most: int = RULES.turns,
     ) -> list[Candidate]:
         """The candidates that the likeliest cameras become, but for those that others rule out: the
-        first ones, or where these are proposals beside a `best` likelihood (its logarithm) the
-        likeliest, `most` of them."""
+        first ones, or where these are proposals beside the `best` so far the likeliest, `most` of
+        them."""
         begun = [(found, self.account(found.camera, roughly=True)) for found in cameras]
         logs = [np.inf if said is None else said.log for _, said in begun]
         likely = sorted(range(len(begun)), key=lambda k: -logs[k])[:most]
         done: list[Candidate] = []
         for k in sorted(likely) if best is None else likely:
-            found, said = begun[k]
-            log = max((c.log for c in done), default=-np.inf if best is None else best)
-            made = self._refined(found, said, start, log, [c.found.camera for c in done])
+            made = self._refined(*begun[k], best, done)
             done += [] if made is None else [made]
         return done
 
     def proposals(
-        self, cameras: Iterable[Camera], best: float, most: int = RULES.turns
+        self, cameras: Iterable[Camera], best: Candidate | None, most: int = RULES.turns
     ) -> list[Candidate]:
-        """The candidates that the likeliest cameras become, beside one with this logarithm of the
-        likelihood."""
+        """The candidates that the likeliest cameras become, beside the best so far."""
         look = lambda camera: Solution(camera, self.solver.look(camera, self.solver.finest), ())
-        return self.candidates(map(look, cameras), best=best, most=most)
+        return self.candidates(map(look, cameras), best, most)
 
     def _refined(
         self,
         found: Solution,
         said: Account | None,
-        start: Camera | None,
-        best: float,
-        known: list[Camera],
+        best: Candidate | None,
+        done: list[Candidate],
     ) -> Candidate | None:
-        begin = found.camera
+        begin, others = found.camera, done if best is None else [best, *done]
+        log = max((c.log for c in done), default=-np.inf if best is None else best.log)
         if said is None:  # the mask's edge tells nothing yet
             found, said = self._least_squares(self._near(RULES.times), found)
         # (The account allows for an error of the camera; for what is left to descend, too.)
-        elif said.log < best - 3 * RULES.hopeless:
+        elif said.log < log - 3 * RULES.hopeless:
             return None
         if said is not None:
-            likelier = self._likelier(found, said, best - RULES.hopeless, known)
+            known = [c.found.camera for c in done]
+            least = max((c.log - self.cost(c.found.camera) for c in others), default=-np.inf)
+            # (Of a mask that is not drawn what leaves equal squares stays, however likely.)
+            told = best is not None or (bool(done) and is_drawn(done[0].errors))
+            least -= RULES.as_likely if told else RULES.hopeless
+            likelier = self._likelier(found, said, least, known)
             if likelier is None:
                 return None
             found, said = likelier
@@ -132,7 +137,8 @@ class Refiner:
         drawn, believed_first = ended is not None and ended.is_drawn, near
         if not drawn:
             found, said = self._least_squares(near, found)
-            for camera in [begin] if start is None else [begin, start]:
+            again = [] if self.start is None or best is not None else [self.start]
+            for camera in [begin, *again]:
                 if not near.look(camera, near.finest).squares >= found.view.squares:
                     found, said = self._least_squares(near, found._replace(camera=camera))
             near = self._near(1.0, said)
@@ -173,8 +179,8 @@ class Refiner:
         self, begin: Solution, said: Account, least: float, known: list[Camera]
     ) -> tuple[Solution, Account] | None:
         """The end of generalised least squares, and its account; where they do not come to rest, or
-        at an unlikelier camera, those given, not `ended`; None below the logarithm `least`, or if
-        they lead to a camera that is `known`."""
+        at an unlikelier camera, those given, not `ended`; None if they will hardly lead above the
+        logarithm `least`, a start's cost taken off, or lead to a camera that is `known`."""
         camera, now, share, solver = begin.camera, said, 1.0, self.solver
         for n in range(min(STEPS, solver.max_steps)):
             part = min(share, RULES.smooth * self.edge.size / max(now.shift, 1e-9))
@@ -184,7 +190,8 @@ class Refiner:
             after = self.account(camera)
             if after is None or after.log < said.log - RULES.as_likely:
                 break
-            if after.log < least and n >= EARLY:
+            # (A normal distribution's top is higher by half of `far`^2; others' by a few times it.)
+            if after.log + 2 * after.far**2 - self.cost(camera) < least and n >= EARLY:
                 return None
             if min(after.far, 2 * part * now.far) < STILL:
                 return begin._replace(camera=camera, ended=True), after
@@ -216,6 +223,32 @@ class Refiner:
             return said
         return said.knowing(*self.solver.known(camera))
 
+    def cost(self, camera: Camera, overlaps: bool = True) -> float:
+        """What a start, another measurement, takes off the logarithm of a camera's likelihood. It
+        may be a twin's: a camera that overlaps the mask loses no more than twice what rules out a
+        mode."""
+        if self.start is None:
+            return 0.0
+        most = 2 * RULES.as_likely if overlaps else np.inf
+        return min((angle(camera, self.start) / RULES.start) ** 2 / 2, most)
+
+    def likeliest(self, candidates: Sequence[Candidate], alike: int = 0) -> list[Candidate]:
+        """The candidates that mask and start do not tell apart, the likeliest first.
+
+        The first `alike` of them leave equal squares: they stay together unless a person or a
+        network drew the mask, whose errors are among those squares, or a start rules them out.
+        """
+        cost = [self.cost(c.found.camera, c.overlaps()) for c in candidates]
+        logs = [c.log - x for c, x in zip(candidates, cost, strict=True)]
+        order = sorted(range(len(logs)), key=lambda k: -logs[k])
+        least, first = logs[order[0]] - RULES.as_likely, candidates[order[0]]
+        together = order[0] < alike and not is_drawn(first.errors)
+        from_start = lambda c: 0 if self.start is None else angle(c.found.camera, self.start)
+        reach = max(RULES.too_far, from_start(first))
+        stays = lambda k: together and k < alike and from_start(candidates[k]) <= reach
+        likely = [candidates[k] for k in order if logs[k] >= least or stays(k)]
+        return list(distinct(likely, RULES.same, lambda candidate: candidate.found.camera))
+
     def is_free(self, candidate: Candidate, free: Free, others: Sequence[Candidate]) -> bool:
         """Whether cameras far away may be as likely in a direction that squares call free: some of
         the others as near as that goes, or those that strides lead to. (A twin is another mode.)"""
@@ -230,13 +263,13 @@ class Refiner:
     def _leads_away(self, candidate: Candidate, stride: float, move: np.ndarray) -> bool:
         """Whether strides (rad) and a descent after each lead farther away than one of them, by
         cameras that are as likely."""
-        near, begin = candidate.near, candidate.found
+        near, begin, by_mask = candidate.near, candidate.found, replace(self, start=None)
         camera, least, far = begin.camera, candidate.log - RULES.as_likely, 0.0
         while far <= abs(stride):
             camera = near.step(camera, near.finest, stride * move)
             said = self.account(camera)
             turned = begin._replace(camera=camera)
-            ended = None if said is None else self._likelier(turned, said, least, [])
+            ended = None if said is None else by_mask._likelier(turned, said, least, [])
             if ended is None or ended[1].log < least:
                 return False
             camera, before = ended[0].camera, far
@@ -254,24 +287,3 @@ class Refiner:
         astray = float(sums.overlap) < (1 - RULES.astray) * float(sums.union)
         hidden = max(said.hidden(self.edge, RULES.small), said.missing) > RULES.little
         return hidden or (astray and said.errors.size > self.outlier_px)
-
-
-def likeliest(candidates: Sequence[Candidate], alike: int, start: Camera | None) -> list[Candidate]:
-    """The candidates that a mask does not tell apart, the likeliest first.
-
-    The first `alike` of them leave equal squares: they stay together unless a person or a network
-    drew the mask, whose errors are among those squares. A start is another measurement, and rules
-    out what lies too far from it, unless the likeliest does. It may be a twin's: a camera that
-    overlaps the mask loses no more by it than twice what rules out a mode.
-    """
-    far = [0.0 if start is None else angle(c.found.camera, start) for c in candidates]
-    most = [2 * RULES.as_likely if c.overlaps() else np.inf for c in candidates]
-    less = [min((x / RULES.start) ** 2 / 2, y) for x, y in zip(far, most, strict=True)]
-    logs = [c.log - x for c, x in zip(candidates, less, strict=True)]
-    order = sorted(range(len(logs)), key=lambda k: -logs[k])
-    least = logs[order[0]] - RULES.as_likely
-    together = order[0] < alike and not is_drawn(candidates[order[0]].errors)
-    reach = max(RULES.too_far, far[order[0]])
-    stays = lambda k: together and k < alike and far[k] <= reach
-    likely = [candidates[k] for k in order if logs[k] >= least or stays(k)]
-    return list(distinct(likely, RULES.same, lambda candidate: candidate.found.camera))

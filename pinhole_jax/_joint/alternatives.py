@@ -18,7 +18,7 @@ import numpy as np
 from .._camera.axes import distinct
 from .._camera.camera import Camera
 from .._fit.places import Free, Places, better, separation
-from .._fit.refine import Refiner, likeliest
+from .._fit.refine import Refiner
 from .._fit.result import iou_and_rms
 from .._fit.strategy import ROUGH_PX, everywhere, looked_alike, looked_round
 from .._mask.mask import Mask
@@ -227,9 +227,9 @@ def _keep_agreeing(
     found, reach = [places.best, *places.others], problem.outlier_px
     if reach is None or places.best.view.touched_misfit <= RULES.exact * mask.usual_weight:
         return found
-    refiner = Refiner.on(solver, mask, reach, plainly=True)  # (as all views descend)
-    candidates = refiner.candidates([*found, *places.rivals], start)
-    kept = likeliest(candidates, min(len(found), len(candidates)), start)
+    refiner = Refiner.on(solver, mask, start, reach, plainly=True)  # (as all views descend)
+    candidates = refiner.candidates([*found, *places.rivals])
+    kept = refiner.likeliest(candidates, min(len(found), len(candidates)))
     return [c.found._replace(view=c.whole) for c in kept]
 
 

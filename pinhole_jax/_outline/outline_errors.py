@@ -35,8 +35,8 @@ ROUGH = ((1, 0),)
 #: Each stretch errs by itself by at least this share of the variance: where errors are smooth
 #: rounding would decide.
 NUGGET = 1e-6
-#: Steps to a mixture's mode at most.
-CLIMB = 20
+#: Steps to a mixture's mode at most; one of fewer standard errors is the last.
+CLIMB, REST = 20, 0.01
 
 
 class OutlineErrors(NamedTuple):
@@ -329,7 +329,9 @@ def _mode(found: Evidence) -> np.ndarray:
         apart = found.move - move
         density = logs - np.einsum("hi,hij,hj->h", apart, precise, apart) / 2
         near = np.exp(density - np.max(density))
-        before, move = move, np.linalg.solve(np.tensordot(near, precise, axes=1), near @ pull)
-        if np.max(np.abs(move - before)) < 1e-3 * np.max(np.abs(move)):
+        by_move = np.tensordot(near, precise, axes=1)
+        before, move = move, np.linalg.solve(by_move, near @ pull)
+        change = move - before
+        if change @ by_move @ change < REST**2 * np.sum(near):
             break
     return move

@@ -8,7 +8,7 @@ import numpy as np
 from .._mask.edges import Weights, weights_at
 from .._mask.target import as_coverage
 from .._rules import RULES
-from .._solver.looks import HIDDEN, View
+from .._solver.looks import HIDDEN, Origin, View
 
 #: What a pixel's coverage differs by counts for the stretch nearest to it, this many px away at
 #: most.
@@ -58,13 +58,13 @@ class OutlinePixels(NamedTuple):
     by_move: np.ndarray
 
     @classmethod
-    def from_view(cls, view: View) -> "OutlinePixels":
+    def from_view(cls, view: View | Origin) -> "OutlinePixels":
         pixels, window, place = view.pixels, view.level.window(), _places(view)
         (row, column), share = place.T, pixels.coverage
         inside = (row < window.H) & (column >= 0) & (column < window.W)
         shown = inside & (share > HIDDEN) & (share < 1 - HIDDEN)
         weight = pixels.weight[shown]
-        by_move = view.jacobian[shown] / np.sqrt(np.where(weight > 0, weight, 1))[:, None]
+        by_move = pixels.jacobian[shown] / np.sqrt(np.where(weight > 0, weight, 1))[:, None]
         return cls(place[shown], weight, share[shown], by_move)
 
     def weighed(self) -> "OutlinePixels":
@@ -190,7 +190,9 @@ class OutlineMeans(NamedTuple):
     rows: np.ndarray
 
 
-def outline_means(view: View, place: np.ndarray, rows: np.ndarray, reach: int = 2) -> OutlineMeans:
+def outline_means(
+    view: View | Origin, place: np.ndarray, rows: np.ndarray, reach: int = 2
+) -> OutlineMeans:
     """Return means over the pixels up to `reach` away each way from those (P, 2) of an outline;
     `rows` (P, k) are 0 beside it, and all is beside the window."""
     coverage = Coverage.from_view(view)
@@ -215,10 +217,10 @@ def _neighbours(
     width = W + 2 * reach
     down, aside = np.indices((side, side)).reshape(2, -1)
     around = (place[:, :1] + down) * width + place[:, 1:] + aside
-    # (Of zeros, what is not written to takes no time.)
-    slot = np.zeros((H + 2 * reach) * width, np.int32)
-    slot[around] = 1
-    cells = np.flatnonzero(slot)
+    # (What is not written to takes no time.)
+    some = np.zeros((H + 2 * reach) * width, bool)
+    some[around] = True
+    cells, slot = np.flatnonzero(some), np.empty(len(some), np.int32)
     slot[cells] = np.arange(len(cells))
     row, column = (x - reach for x in np.divmod(cells, width))
     inside = (row >= 0) & (row < H) & (column >= 0) & (column < W)
@@ -234,7 +236,7 @@ def _stretched(place: np.ndarray, slopes: np.ndarray, length: float) -> Blocks:
     return Blocks.alike(np.column_stack([place // size, side]))
 
 
-def _places(view: View) -> np.ndarray:
+def _places(view: View | Origin) -> np.ndarray:
     """Return row (from the bottom) and column of a view's touched pixels (P, 2)."""
     row, column = np.divmod(view.pixels.cell, int(view.level.W) + 2)
     return np.column_stack([row, column - 1])
@@ -252,7 +254,7 @@ class Coverage(NamedTuple):
     before: bool
 
     @classmethod
-    def from_view(cls, view: View) -> "Coverage":
+    def from_view(cls, view: View | Origin) -> "Coverage":
         pixels, shape = view.pixels, (int(view.level.H), int(view.level.W))
         # (The first is in no row.)
         after = np.append(False, pixels.after)

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from .._camera.camera import Camera
 from .._mask.pyramid import Level
-from .looks import look
+from .looks import Sums, look
 from .moves import Move
 from .problem import COSINE, UNIT_PX, Problem
 
@@ -70,7 +70,7 @@ class _LevenbergMarquardt(optx.AbstractGaussNewton):
         del fn, args, options, tags
         step = state.y_eval - y
         change = state.f_info.jac.mv(step)
-        count = jnp.maximum(state.aux.sums.touched, 1)
+        count = jnp.maximum(Sums(*state.aux.sums).touched, 1)
         share = jnp.maximum(COSINE[np.dtype(step.dtype)] ** 2, self.settled**2 / count)
         flat = _sum_squares(change) <= share * _sum_squares(state.f_info.residual)
         small = jnp.max(jnp.abs(step)) < self.atol

@@ -60,17 +60,15 @@ class Look(NamedTuple):
       derivative by moves about the camera, in units of `scale`, then by the scene's motions.
     - `to_reported`: the reported parameters' derivative by moves.
     - `known`, `prior`: derivatives of the residuals of a prior and other views, and their squares.
-    - `sight`: what the library draws; None where it does not look.
     """
 
     camera: Camera
     rows: Float[Array, "k k"]
-    sums: Sums
+    sums: Float[Array, "7"]
     to_reported: Float[Array, "n n"]
     scale: Float[Array, "n"]
     known: Float[Array, "m n"]
     prior: Float[Array, ""]
-    sight: Sight | None
 
 
 def size_of_looks(levels: list[Level]) -> Size | None:
@@ -105,7 +103,7 @@ def look(
 
     (_, left, *drawn), by_move, camera = along_each(quantities, y)
     to_reported, J, *drawn_by_move = by_move
-    known, sight = jnp.concatenate([J.T, left[:, None]], axis=1), None
+    known = jnp.concatenate([J.T, left[:, None]], axis=1)
     if size is None:
         sight = Sight(*drawn, *drawn_by_move)
         of_mask = _mask_of(jnp, problem.pyramid, level)
@@ -116,7 +114,7 @@ def look(
         rows = triangle_of(jnp.concatenate([table, known]))
     ok = jnp.where(lens_holds(camera, _part(level)), 1, jnp.nan).astype(y.dtype)
     facts = to_reported[: len(move.scale)].T, move.scale, J.T, left @ left
-    return Look(camera, rows * ok, Sums(*sums * ok), *facts, sight)
+    return Look(camera, rows * ok, sums * ok, *facts)
 
 
 def film_of(camera: Camera, level: Level, size: Size | None) -> FilmMap:
@@ -188,16 +186,23 @@ def _weighed(
 
 @eqx.filter_jit
 def _all_pixels(
-    camera: Camera, problem: Problem, level: Level, freed: tuple[str, ...], size: Size
-) -> Float[Array, "H W c"]:
-    """Coverage, weight and weighted [J, r] of all pixels of a level, row 0 at the bottom."""
-    move, (W, H) = problem.move(camera, level, freed), size
+    camera: Camera, problem: Problem, level: Level, freed: tuple[str, ...], size: Size | None
+) -> Sight | Float[Array, "H W c"]:
+    """Coverage, weight and weighted [J, r] of all pixels of a level, row 0 at the bottom; where the
+    library looks, what it draws."""
+    move = problem.move(camera, level, freed)
 
-    def image(y: Array) -> tuple[Any, Any]:
+    def drawn(y: Array) -> tuple[Any, Any]:
         camera, scene = problem.moved(move, y, freed)
-        return _image(film_of(camera, level, size), scene), ()
+        film = film_of(camera, level, size)
+        return sight_of(film, scene, not problem.motions) if size is None else _image(
+            film, scene
+        ), ()
 
-    (coverage,), (moves,), _ = along_each(image, problem.still(freed))
+    values, moves, _ = along_each(drawn, problem.still(freed))
+    if size is None:
+        return Sight(*values, *moves)
+    (coverage,), (moves,), (W, H) = values, moves, size
     weight, table, _ = _weighed(coverage, moves, problem.pyramid, level, size)
     seen = jnp.stack([coverage, weight], axis=1)
     return jnp.concatenate([seen, table], axis=1).reshape(H, W, -1)
@@ -223,9 +228,9 @@ def _touched(seen: np.ndarray, level: Level) -> TouchedPixels:
 
 @dataclass(frozen=True, eq=False)
 class Origin:
-    """Where a look was taken, and the pixels that it touched once they are asked for."""
+    """Where a look is taken, and the pixels that it touches once they are asked for."""
 
-    look: Look
+    camera: Camera
     problem: Problem
     level: Level
     freed: tuple[str, ...]
@@ -234,12 +239,11 @@ class Origin:
     @cached_property
     def pixels(self) -> TouchedPixels:
         """The pixels that the outline touches, with the residuals' derivatives."""
-        camera, sight, problem, level = self.look.camera, self.look.sight, self.problem, self.level
-        if sight is not None:
-            of_mask = _mask_of(np, problem.pyramid, level)
-            return native.pixels(sight, problem.scene, of_mask, model_of(camera.lens))
-        assert self.size is not None
+        camera, problem, level = self.camera, self.problem, self.level
         seen = _all_pixels(camera, problem, level, self.freed, self.size)
+        if isinstance(seen, Sight):
+            of_mask = _mask_of(np, problem.pyramid, level)
+            return native.pixels(seen, problem.scene, of_mask, model_of(camera.lens))
         return _touched(np.asarray(seen), level)
 
 
@@ -261,17 +265,17 @@ class View:
     origin: Origin | None = None
 
     @classmethod
-    def from_origin(cls, origin: Origin) -> "View":
+    def from_look(cls, look: Look, origin: Origin) -> "View":
         """The view of a look."""
-        rows, sums, to_reported, scale, known, prior = jax.device_get(origin.look[1:-1])
-        own = rows[:-1, :-1], rows[:-1, -1], sums
+        rows, sums, to_reported, scale, known, prior = jax.device_get(look[1:])
+        own = rows[:-1, :-1], rows[:-1, -1], Sums(*sums)
         return cls(*own, to_reported, scale, known, float(prior), origin)
 
     @property
     def camera(self) -> Camera:
         """The camera that it is of (canonical)."""
         assert self.origin is not None
-        return self.origin.look.camera
+        return self.origin.camera
 
     @property
     def level(self) -> Level:

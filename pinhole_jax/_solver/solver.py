@@ -182,6 +182,12 @@ class Solver:
         weight = float(view.sums.weight) + share**2 * self._levels.beside
         return replace(view, sums=view.sums._replace(weight=np.asarray(weight)))
 
+    def outline(self, camera: Camera, level: int = -1) -> Origin:
+        """What of a look tells the pixels that the outline touches, on a level (the last)."""
+        self._widen(camera)
+        size = size_of_looks(self.levels)
+        return Origin(camera, self.problem, self.levels[level], self.freed, size)
+
     def looks(self, cameras: Sequence[Camera], level: int = -1) -> list[View]:
         """The view at each camera, as many at once as there are cores."""
         look = lambda camera: self.look(camera, level)
@@ -299,8 +305,8 @@ class Solver:
 
         given = self._given(camera, level, px, steps)
         n, path, look = descended(*given)
-        origin = Origin(look, given[1], level, self.freed, given[-1])
-        return int(n), np.asarray(path), View.from_origin(origin)
+        origin = Origin(look.camera, given[1], level, self.freed, given[-1])
+        return int(n), np.asarray(path), View.from_look(look, origin)
 
 
 @eqx.filter_jit
