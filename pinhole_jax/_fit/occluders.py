@@ -9,8 +9,9 @@ Each camera is a proposal: the likelihood decides (`likelihood`).
 """
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from itertools import islice
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,10 +20,11 @@ from .._camera.camera import Camera
 from .._files.progress import say
 from .._mask.mask import Mask
 from .._mask.search import partly_hidden
+from .._numerics.threads import in_threads
 from .._rules import RULES
 from .._solver.moves import canonical
 from .._solver.solver import Solver
-from .edge import Edge, OutlinePoints, Pairs, matched, outline_seen
+from .edge import Edge, Pairs, matched, outline_seen
 
 #: This many of its points are brought to the outline.
 POINTS = 400
@@ -32,22 +34,24 @@ Window = np.ndarray | None
 
 def near_starts(solver: Solver, edge: Edge, cameras: Iterable[Camera]) -> list[Camera]:
     """Where cameras lead to if the object is hidden on any side."""
-    some = edge.thinned(POINTS)
-    begins = [(camera, w) for camera in cameras for w in (None, *_sectors(some))]
-    return _followed(solver, some, begins)
+    bringing = _Bringing.on(solver, edge)
+    windows = (None, *_sectors(bringing.edge))
+    return bringing.followed([(camera, w) for camera in cameras for w in windows])
 
 
 def from_all_sides(solver: Solver, mask: Mask, edge: Edge) -> list[Camera]:
     """Where views from all sides lead to if the object is hidden on any side."""
-    some = edge.thinned(POINTS)
+    bringing = _Bringing.on(solver, edge)
     directions = [None, *(2 * np.pi * np.arange(RULES.sectors) / RULES.sectors)]
     views = partly_hidden(mask, solver.subject.from_afar, solver.subject.ball, directions)
-    begins = [
-        (canonical(guess), window)
-        for guesses, window in zip(views, [None, *_sectors(some)], strict=True)
-        for guess in islice(guesses, RULES.tried)
-    ]
-    return _followed(solver, some, begins)
+    windows = (None, *_sectors(bringing.edge))
+    return bringing.followed(
+        [
+            (canonical(guess), window)
+            for guesses, window in zip(views, windows, strict=True)
+            for guess in islice(guesses, RULES.tried)
+        ]
+    )
 
 
 def _sectors(edge: Edge) -> list[np.ndarray]:
@@ -58,71 +62,97 @@ def _sectors(edge: Edge) -> list[np.ndarray]:
     return [(far < np.quantile(far, 1 - RULES.taken)) * 1.0 for far in along]
 
 
-def _followed(solver: Solver, edge: Edge, begins: list[tuple[Camera, Window]]) -> list[Camera]:
-    """Where the closest of some cameras lead to."""
-    level = min(solver.far, max(solver.finest - 1, 0))
-    scales = np.geomspace(max(RULES.room * edge.size, 1.0), 1.0, 2 * RULES.steps)
-    stretch = _stretches(edge)
-    for number in RULES.rounds:
-        say(f"looking for something in front of the object: {len(begins)} guesses")
-        some, scales = scales[:2], scales[2:]
-        ended = [_brought(solver, edge, stretch, c, level, some, w) for c, w in begins]
-        found = [(*e, w) for e, (_, w) in zip(ended, begins, strict=True) if e is not None]
-        found.sort(key=lambda f: -f[1])
-        begins = _apart([(camera, w) for camera, _, w in found])[:number]
-    ended = [_brought(solver, edge, stretch, c, level, scales) for c, _ in begins]
-    closest = sorted((e for e in ended if e is not None), key=lambda e: -e[1])
-    return [camera for camera, _ in _apart(closest)]
+class _Brought(NamedTuple):
+    """A camera that the mask's edge was brought to, and the edge beside the outline that it
+    sees."""
+
+    camera: Camera
+    pairs: Pairs
 
 
-def _apart(found: list[tuple[Camera, Any]]) -> list[tuple[Camera, Any]]:
+@dataclass(frozen=True, eq=False)
+class _Bringing:
+    """How an edge is brought to the outlines that cameras see on a level; `stretch` (n, n) takes
+    means over stretches of it."""
+
+    solver: Solver
+    edge: Edge
+    stretch: Any
+    level: int
+
+    @classmethod
+    def on(cls, solver: Solver, edge: Edge) -> "_Bringing":
+        some, level = edge.thinned(POINTS), min(solver.far, max(solver.finest - 1, 0))
+        return cls(solver, some, _stretches(some), level)
+
+    def followed(self, begins: list[tuple[Camera, Window]]) -> list[Camera]:
+        """Where the closest of some cameras lead to."""
+        first = RULES.room * self.edge.size
+        scales = np.geomspace(max(first, 1.0), 1.0, 2 * RULES.steps)
+        found = [(seen, w) for camera, w in begins if (seen := self._seen(camera)) is not None]
+        for number in RULES.rounds:
+            say(f"looking for something in front of the object: {len(found)} guesses")
+            found = self._brought(found, scales[:2])[:number]
+            scales = scales[2:]
+        return [
+            seen.camera for seen, _ in self._brought([(seen, None) for seen, _ in found], scales)
+        ]
+
+    def _brought(
+        self, found: list[tuple[_Brought, Window]], scales: np.ndarray
+    ) -> list[tuple[_Brought, Window]]:
+        """Where cameras are brought to, the closest first, and of each place that one."""
+        solver, level = self.solver, self.level
+        bring = lambda given: self._onward(*given, scales)
+        program = lambda given: solver.program(given[0].camera, level)
+        ended = zip(in_threads(bring, found, program), (w for _, w in found), strict=True)
+        return _apart(sorted(((e, w) for e, w in ended if e), key=lambda f: -self._closeness(f[0])))
+
+    def _onward(self, seen: _Brought, window: Window, scales: np.ndarray) -> _Brought | None:
+        """The camera whose outline the edge was brought to, counting as far as `scales` (px) say
+        step by step; None where no outline is seen."""
+        solver = self.solver
+        for scale in scales:
+            pairs = seen.pairs
+            weight = _weights(pairs, self.stretch, scale) * (1.0 if window is None else window)
+            rows = pairs.by_move * np.sqrt(weight)[:, None]
+            normal = rows.T @ rows
+            damping = 1e-3 * np.trace(normal) / len(normal) + 1e-12
+            right = rows.T @ (np.sqrt(weight) * pairs.off)
+            step = np.linalg.solve(normal + damping * np.eye(len(normal)), right)
+            if not np.all(np.isfinite(step)):
+                return None
+            far = max(float(np.max(np.abs(pairs.by_move @ step))), 1e-9)
+            step *= min(1.0, RULES.smooth * self.edge.size / far)
+            if (after := self._seen(solver.step(seen.camera, self.level, step))) is None:
+                return None
+            seen = after
+        return seen
+
+    def _seen(self, camera: Camera) -> _Brought | None:
+        """A camera, if it sees an outline."""
+        outline = outline_seen(self.solver, camera, self.level)
+        return None if outline is None else _Brought(camera, matched(self.edge, outline))
+
+    def _closeness(self, seen: _Brought) -> float:
+        """How close the edge is to an outline: 1 where it lies on it, less where it is outside."""
+        pairs, near = seen.pairs, max(RULES.close * self.edge.size, 2.0)
+        close = np.clip(1 - (pairs.off / near) ** 2, 0, 1) * pairs.faces
+        inside = float(np.mean((self.stretch @ close) * close))
+        return inside - 0.5 * float(np.mean(pairs.off > 2 * near))
+
+
+def _apart(found: list[tuple[_Brought, Window]]) -> list[tuple[_Brought, Window]]:
     """The first of each place, a turn by `APART` being another one."""
     if not found:
         return []
-    axes = np.stack([axes_of(camera) for camera, _ in found])
+    axes = np.stack([axes_of(seen.camera) for seen, _ in found])
     cosine = (np.einsum("aij,bij->ab", axes, axes) - 1) / 2
     kept: list[int] = []
     for k in range(len(found)):
         if np.all(cosine[k, kept] < np.cos(4 * RULES.same)):
             kept.append(k)
     return [found[k] for k in kept]
-
-
-def _brought(
-    solver: Solver,
-    edge: Edge,
-    stretch: Any,
-    camera: Camera,
-    level: int,
-    scales: np.ndarray,
-    window: Window = None,
-) -> tuple[Camera, float] | None:
-    """The camera whose outline the mask's edge was brought to, counting as far as `scales` (px)
-    say step by step, and how close the edge is; None where no outline is seen."""
-    outline = outline_seen(solver, camera, level)
-    for scale in scales:
-        if outline is None:
-            return None
-        pairs = matched(edge, outline)
-        weight = _weights(pairs, stretch, scale) * (1.0 if window is None else window)
-        rows = pairs.by_move * np.sqrt(weight)[:, None]
-        normal = rows.T @ rows
-        damping = 1e-3 * np.trace(normal) / len(normal) + 1e-12
-        right = rows.T @ (np.sqrt(weight) * pairs.off)
-        step = np.linalg.solve(normal + damping * np.eye(len(normal)), right)
-        if not np.all(np.isfinite(step)):
-            return None
-        far = max(float(np.max(np.abs(pairs.by_move @ step))), 1e-9)
-        camera = solver.step(camera, level, step * min(1.0, RULES.smooth * edge.size / far))
-        outline = outline_seen(solver, camera, level)
-    return None if outline is None else (camera, _closeness(edge, outline, stretch))
-
-
-def _closeness(edge: Edge, outline: OutlinePoints, stretch: Any) -> float:
-    """How close an edge is to an outline: 1 where it lies on it, less where it is outside."""
-    pairs, near = matched(edge, outline), max(RULES.close * edge.size, 2.0)
-    close = np.clip(1 - (pairs.off / near) ** 2, 0, 1) * pairs.faces
-    return float(np.mean((stretch @ close) * close) - 0.5 * np.mean(pairs.off > 2 * near))
 
 
 def _weights(pairs: Pairs, stretch: Any, scale: float) -> np.ndarray:

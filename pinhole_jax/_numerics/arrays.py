@@ -115,7 +115,8 @@ def float_array(name: str, value: Any, shape: tuple[int | None, ...], dtype: np.
     traced are checked for shape only.
     """
     array = checked(name, value, shape, dtype)
-    return jnp.asarray(array, dtype)
+    known = isinstance(array, jax.Array) and array.dtype == dtype
+    return array if known else jnp.asarray(array, dtype)
 
 
 def checked(name: str, value: Any, shape: tuple[int | None, ...], dtype: np.dtype) -> Any:

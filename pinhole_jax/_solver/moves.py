@@ -1,5 +1,6 @@
 """Moves of a camera, as a vector that is 0 where it starts, and what is reported of them."""
 
+from functools import cache
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -194,14 +195,21 @@ def canonical(camera: Camera) -> Camera:
 
     One compiled program then serves all resolutions; film coordinates are in film heights.
     """
-    point = as_numpy(principal_point(camera)) / camera.H
-    aspect = 1.0 if camera.lens is None else camera.lens.aspect
-    result = camera.replace(W=1, H=1, lens=Lens(point, aspect))
-    if camera.lens is None or camera.lens.distortion is None:
-        return result
-    # (Put in here, it is not asked whether the film's corners are seen.)
-    place, model = lambda c: c.lens.distortion, camera.lens.distortion
-    return eqx.tree_at(place, result, model, is_leaf=lambda x: x is None)
+    lens, dtype = camera.lens, camera.e.dtype
+    point = jnp.asarray(as_numpy(principal_point(camera)) / camera.H, dtype)
+    aspect, bends = (jnp.ones((), dtype), None) if lens is None else (lens.aspect, lens.distortion)
+    parts = lambda lens: (lens.principal_point, lens.aspect, lens.distortion)
+    moving = lambda c: (c.e, c.p, c.u, c.phi, c.d, *parts(c.lens))
+    values = (camera.e, camera.p, camera.u, camera.phi, camera.d, point, aspect, bends)
+    # (Put in here, nothing is checked again, nor is it asked whether the film's corners are seen.)
+    return eqx.tree_at(moving, _unit(), values, is_leaf=lambda x: x is None)
+
+
+@cache
+def _unit() -> Camera:
+    """A camera on a film of one pixel, with a lens."""
+    with jax.ensure_compile_time_eval():  # (what is traced must not stay)
+        return Camera([0, 0, 1], [0, 0, 0], [0, 1, 0], 1.0, 1.0, 1, 1, Lens([0.5, 0.5]))
 
 
 def on_film(canonical_one: Camera, camera: Camera) -> Camera:
