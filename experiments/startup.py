@@ -282,7 +282,7 @@ from pinhole_jax._studio.session import new_session
 from pinhole_jax._studio.workpiece import workpiece_of
 from pinhole_jax.batch.inputs import Start
 workpiece = workpiece_of("part.obj", "mask.png")
-bench = Bench(workpiece, new_session(workpiece, Start()), Path("bench"))
+bench = Bench(new_session(workpiece, Start()), Path("bench"))
 bench.take_mask(pj.io.load_mask("mask.png"))
 assert bench.hello()["free"] == ["pose", "phi"]
 fit = bench.act("fit", {"free": ["pose"], "search": True}, print)["fit"]

@@ -67,7 +67,7 @@ def workpiece(scene, mask, tmp_path):
 
 def begun(workpiece, folder, **known):
     """Return a bench with a new session."""
-    return Bench(workpiece, session.new_session(workpiece, Start(**known)), folder)
+    return Bench(session.new_session(workpiece, Start(**known)), folder)
 
 
 @pytest.fixture

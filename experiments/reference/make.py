@@ -24,7 +24,7 @@ from _oracle import coverage
 from _scenes import PARAMETERS, View, views
 
 import pinhole_jax as pj
-from pinhole_jax.testing.differences import STEPS, Scales, outside, slopes
+from pinhole_jax.testing.differences import STEPS, Scales, compared
 
 SCHEMA = "pinhole_jax.reference/1"
 #: How far coverage (px^2) and a derivative (in parts of its image's largest) may be off.
@@ -118,9 +118,10 @@ def made(view: View) -> Made:
         up, down, step = differences(view, name, scales, edge)
         largest = np.max(np.abs(up[0] - down[0])) / (2 * step)
         scale = max(largest, 1e-3 / view.step(name))  # what moves nothing has rounding alone
-        found = slopes(np.where(edge, expected, 0), up, down, step, 5e-7 * scale)
-        errors[name] = float(np.max(outside(derivative, found)) / scale)
-        kinks |= found.kink
+        middle = np.where(edge, expected, 0)
+        _, kink, off = compared(derivative, middle, up, down, step, 5e-7 * scale)
+        errors[name] = float(np.max(off) / scale)
+        kinks |= kink
     worst = float(np.max(np.abs(image - expected)))
     return Made(image, derivatives, worst, errors, int(np.sum(kinks)))
 

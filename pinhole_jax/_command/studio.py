@@ -11,7 +11,7 @@ from .._files.naming import named
 from .._files.progress import Ticker, tell
 from .._studio.bench import Bench
 from .._studio.session import MOST_BYTES, Session, new_session, session_from_text
-from .._studio.workpiece import Workpiece, workpiece_of
+from .._studio.workpiece import workpiece_of
 from ..batch.inputs import read_mask, read_start
 from .options import record_of
 
@@ -27,13 +27,13 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
         raise ValueError(f"`port`: expected a port, 0 to 65535, got {options.port}")
     progress.say("reading mesh and photo")
     folder = Path(options.output)
-    workpiece, session = (_begun if options.session is None else _saved)(options)
-    with named(camera="session"):
-        bench = Bench(workpiece, session, folder)
+    session = (_begun if options.session is None else _saved)(options)
+    with named(**dict.fromkeys(("camera", "mesh", "photo"), "session")):
+        bench = Bench(session, folder)
     if options.mask is not None:
         bench.take_mask(read_mask(record_of(options, tidy=False)))
     bench.look()  # raises errors before the page opens, and compiles the outline
-    new_bench = lambda: Bench(workpiece, bench.session, folder)
+    new_bench = lambda: Bench(bench.session, folder)
 
     def ready(address: str) -> None:
         tell(f"studio     {address}")
@@ -50,20 +50,19 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
     return 0
 
 
-def _saved(options: argparse.Namespace) -> tuple[Workpiece, Session]:
-    """Return a file's session, and its mesh and photo."""
+def _saved(options: argparse.Namespace) -> Session:
+    """Return a file's session."""
     known = (options.mesh, options.photo, options.camera, options.fov, options.K, options.mask)
     if any(x is not None for x in known):
         words = "expected no MESH, PHOTO, camera or mask with it: a session has its own"
         raise ValueError(f"`session`: {words}")
-    with named(path="session", mesh="session", photo="session"):
+    with named(path="session"):
         text = io.load_text(options.session, most_bytes=MOST_BYTES)
-        session = session_from_text(text, options.session)
-        return workpiece_of(session.mesh, session.photo), session
+        return session_from_text(text, options.session)
 
 
-def _begun(options: argparse.Namespace) -> tuple[Workpiece, Session]:
-    """Return the mesh and the photo of the command line, and the session that begins with them."""
+def _begun(options: argparse.Namespace) -> Session:
+    """Return the session that begins with the mesh and the photo of the command line."""
     if None in (options.mesh, options.photo):
         raise ValueError("expected MESH and PHOTO, or --session FILE")
     workpiece = workpiece_of(options.mesh, options.photo)
@@ -72,4 +71,4 @@ def _begun(options: argparse.Namespace) -> tuple[Workpiece, Session]:
     if session.known_phi is None:
         degrees = math.degrees(float(session.camera.phi))
         tell(f"phi: assumed {degrees:.0f} degrees, and left free; give --fov if you know it")
-    return workpiece, session
+    return session

@@ -37,33 +37,15 @@ from .strokes import (
     stroke_of,
     strokes_of,
 )
-from .workpiece import Workpiece, whole_path, workpiece_of
+from .workpiece import workpiece_of
 
 #: The answer to an action, as JSON holds it; numbers may be arrays.
 Answer = dict[str, Any]
 #: The actions that the page may call.
-ACTIONS = [
-    "hello",
-    "look",
-    "move",
-    "stand",
-    "lens",
-    "straight",
-    "stroke",
-    "view_guides",
-    "undo",
-    "redo",
-    "clear",
-    "load_mask",
-    "fit",
-    "stop",
-    "way",
-    "mode",
-    "restore",
-    "export",
-    "save",
-    "open",
-]
+ACTIONS = (
+    "hello look move stand lens straight stroke view_guides undo redo clear load_mask fit stop way"
+    " mode restore export save open"
+)
 #: The number of steps to undo, and of guesses from strokes that are kept for them.
 MOST_UNDONE, MOST_GUESSES = 200, 16
 
@@ -80,9 +62,8 @@ class StopRequest(Exception):
 class Bench:
     """A tab's session, mask and fit; `folder` is where files are written."""
 
-    def __init__(self, workpiece: Workpiece, session: Session, folder: Path) -> None:
-        self.workpiece, self.folder = workpiece, folder
-        self._straight = False
+    def __init__(self, session: Session, folder: Path) -> None:
+        self.folder, self._straight = folder, False
         self._push: Callable[[Any], None] = lambda news: None
         self._stopping = threading.Event()
         self._lock, self._is_fitting = threading.Lock(), False
@@ -90,15 +71,13 @@ class Bench:
 
     def resume(self, session: Session) -> None:
         """Continue a session."""
-        mesh, photo = whole_path(session.mesh), whole_path(session.photo)
-        workpiece = self.workpiece
-        if (mesh, photo) != (workpiece.mesh, workpiece.photo):
-            workpiece = workpiece_of(mesh, photo)
+        workpiece = workpiece_of(session.mesh, session.photo)
         (W, H), (w, h) = workpiece.size, (session.camera.W, session.camera.H)
         if (w, h) != (W, H):
             words = f"expected one of the photo's size {W} x {H}, got {w} x {h}"
             raise ValueError(f"`camera`: {words}")
-        self.workpiece, self.session = workpiece, session._replace(mesh=mesh, photo=photo)
+        self.workpiece = workpiece
+        self.session = session._replace(mesh=workpiece.mesh, photo=workpiece.photo)
         # (It keeps some guesses, so that undo needs no new one.)
         self._guess = lru_cache(MOST_GUESSES)(lambda guides: guess_mask(workpiece.picture, guides))
         #: The last fit with all its cameras, and the number of the one that was chosen.
@@ -124,8 +103,8 @@ class Bench:
 
         Raises ValueError for unknown actions, wrong numbers, and while a fit runs.
         """
-        if name not in ACTIONS:
-            raise ValueError(f"`do`: expected one of {', '.join(ACTIONS)}, got {name!r}")
+        if name not in (known := ACTIONS.split()):
+            raise ValueError(f"`do`: expected one of {', '.join(known)}, got {name!r}")
         if name == "stop":
             self._stopping.set()
             return {}

@@ -16,12 +16,8 @@ from ..show.space import axes_of
 
 #: The first direction from an upright object to the camera: ahead, to the right and above.
 FIRST_LOOK = (0.4, 0.45, 1.0)
-#: The axes that an object may have upwards: the axis, and the direction of its front.
-UPRIGHT = {
-    "x": ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
-    "y": ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
-    "z": ((0.0, 0.0, 1.0), (0.0, -1.0, 0.0)),
-}
+#: The axes that an object may have upwards. Its front is along z, or along -y where z is up.
+UPRIGHT = dict(zip("xyz", np.eye(3), strict=True))
 #: The share of the picture's shorter side that an object first takes.
 ROOM = 0.75
 #: The least and the greatest distance of the eye from the object's middle, in radii.
@@ -57,7 +53,7 @@ def frame_object(camera: Camera, extent: Extent, up: str = "y") -> Camera:
     """Return the camera looking at a whole object that stands with its axis x, y or z upwards."""
     if up not in UPRIGHT:
         raise ValueError(f"`up`: expected one of {', '.join(UPRIGHT)}, got {up!r}")
-    upwards, ahead = np.array(UPRIGHT[up])
+    upwards, ahead = UPRIGHT[up], -UPRIGHT["y"] if up == "z" else UPRIGHT["z"]
     right = np.cross(upwards, ahead)
     look = np.stack([right, upwards, ahead], axis=1) @ FIRST_LOOK
     eye = extent.centre + _distance(camera, extent) * look / np.linalg.norm(look)
@@ -66,9 +62,7 @@ def frame_object(camera: Camera, extent: Extent, up: str = "y") -> Camera:
 
 def upright(camera: Camera) -> str | None:
     """Return the axis x, y or z that `frame_object` put upwards, None after turns."""
-    up = np.asarray(camera.u, float)
-    along = (axis for axis, (upwards, _) in UPRIGHT.items() if np.array_equal(up, upwards))
-    return next(along, None)
+    return next((axis for axis, up in UPRIGHT.items() if np.array_equal(camera.u, up)), None)
 
 
 def _distance(camera: Camera, extent: Extent) -> float:

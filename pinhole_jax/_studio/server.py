@@ -26,15 +26,12 @@ HOST = "127.0.0.1"
 MOST_BYTES = 1 << 28
 #: This many tabs are remembered.
 MOST_TABS = 32
-#: The files of the page, and their kinds.
-PARTS = {
-    "/": "text/html",
-    "/scene.js": "text/javascript",
-    "/studio.js": "text/javascript",
-    "/studio.css": "text/css",
-}
-#: The files of a tab's workpiece: what makes them, and their kind.
+#: The files of the page and, with what makes them, of a tab's workpiece; and their kinds.
 FILES = {
+    "/": (None, "text/html"),
+    "/scene.js": (None, "text/javascript"),
+    "/studio.js": (None, "text/javascript"),
+    "/studio.css": (None, "text/css"),
     "/photo": (photo_file, "image/jpeg"),
     "/mesh": (mesh_file, "application/octet-stream"),
 }
@@ -62,8 +59,6 @@ class Studio:
     def application(self) -> web.Application:
         """Return the server's routes, each behind the token."""
         app = web.Application(middlewares=[self._guard], client_max_size=MOST_BYTES)
-        for path in PARTS:
-            app.router.add_get(path, self._part)
         for path in FILES:
             app.router.add_get(path, self._file)
         app.router.add_get("/bench", self._talk)
@@ -82,18 +77,16 @@ class Studio:
             response.headers.update(HEADERS)
         return response
 
-    async def _part(self, request: web.Request) -> web.Response:
-        """Send a part of the page, which names the token where it asks for others."""
-        text = (PAGE / (request.path[1:] or "index.html")).read_text(encoding="utf-8")
-        text = text.replace("{TOKEN}", self.token)
-        return web.Response(text=text, content_type=PARTS[request.path])
-
     async def _file(self, request: web.Request) -> web.Response:
-        """Send a file of the tab's workpiece."""
+        """Send a file of the page, which names the token where it asks for others, or one of the
+        tab's workpiece."""
+        make, kind = FILES[request.path]
+        if make is None:
+            text = (PAGE / (request.path[1:] or "index.html")).read_text(encoding="utf-8")
+            return web.Response(text=text.replace("{TOKEN}", self.token), content_type=kind)
         bench = self._benches.get(request.query.get("tab", ""))
         if bench is None:
             return web.Response(status=404, text="404: no such tab\n")
-        make, kind = FILES[request.path]
         data = await asyncio.to_thread(make, bench.workpiece)
         return web.Response(body=data, content_type=kind)
 

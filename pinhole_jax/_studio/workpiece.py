@@ -1,5 +1,6 @@
 """The workpiece of a session: a mesh and a photo, read once and shared by all tabs."""
 
+from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
 from typing import NamedTuple
@@ -36,20 +37,19 @@ class Workpiece(NamedTuple):
 
 
 def workpiece_of(mesh: str, photo: str) -> Workpiece:
-    """Return the workpiece of two files.
+    """Return the workpiece of two files; the last one is kept.
 
     Raises FileNotFoundError or ValueError as `load_mesh` and `load_image` do.
     """
+    return _workpiece(*(str(Path(file).resolve()) for file in (mesh, photo)))
+
+
+@lru_cache(1)
+def _workpiece(mesh: str, photo: str) -> Workpiece:
     with named(path="photo"):
         picture = io.load_image(photo, rgb=True)
     scene = read_scene(mesh)
-    extent = extent_of(points_of(scene))
-    return Workpiece(whole_path(mesh), whole_path(photo), scene, picture, extent)
-
-
-def whole_path(path: str) -> str:
-    """Return a path from the root."""
-    return str(Path(path).resolve())
+    return Workpiece(mesh, photo, scene, picture, extent_of(points_of(scene)))
 
 
 def photo_file(workpiece: Workpiece) -> bytes:

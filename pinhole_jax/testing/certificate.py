@@ -7,20 +7,22 @@ error comes from the derivative under test: a fault cannot excuse itself.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from .._camera.camera import Camera
 from .._numerics.arrays import as_count, check_positive, is_concrete
 from .._scene.scene import Scene, check_view
 from .._silhouette.silhouette import silhouette
-from .differences import STEPS, Scales, Slopes, outside, slopes
-from .directions import Probe, camera_and_scene
+from .differences import STEPS, Scales, compared
+from .directions import Probe, camera_and_scene, floats
 
 #: A row is undecided if more than this share of its moving pixels are at a kink.
 KINKS_ALLOWED = 0.25
@@ -110,9 +112,10 @@ def check_gradients(
     ```
     """
     _check(camera, scene, tolerance, directions)
-    point = _cast((camera, scene), camera.e.dtype)
-    fine = _cast(point, jnp.zeros(()).dtype)  # for differences: the very same camera and scene
-    rendered = _render(image, fine)
+    point = camera, scene
+    x = np.concatenate([np.ravel(leaf) for leaf in floats(point)]).astype(camera.e.dtype)
+    fine = x.astype(jnp.zeros(()).dtype)  # for differences: the very same camera and scene
+    rendered = _render(image, point, fine)
     _check_image(rendered, camera)
     scales = Scales.for_precision(
         camera.e.dtype, rendered.dtype, max(camera.H, camera.W), tolerance
@@ -121,13 +124,17 @@ def check_gradients(
     # Weights are exact in either precision; none is small, so that every pixel counts.
     weight = random.uniform(0.5, 1.5, middle.shape) * random.choice([-1, 1], middle.shape)
     weight = weight.astype(np.float32)
-    gradient = _gradient(image, point, jnp.asarray(weight))
+    gradient = np.asarray(_gradient(image, point, x, weight), float)
     rows = []
     for probe in camera_and_scene(point, scales, directions, seed):
-        derivative = np.asarray(_forward(image, point, probe.direction), float)
-        least = scales.least * scales.step_px / probe.step
-        gap = _mode_gap(gradient, probe, weight * derivative, least)
-        rows.append(_row(probe, derivative, middle, _moved(image, fine, probe), gap, scales))
+        derivative = np.asarray(_forward(image, point, x, probe.direction), float)
+        gap = _mode_gap(gradient, probe, weight * derivative)
+        to = lambda h, way=probe.direction: _render(image, point, fine + fine.dtype.type(h) * way)
+        up, down = (
+            np.stack([np.asarray(to(side * h), float) for h in STEPS])
+            for side in (probe.step, -probe.step)
+        )
+        rows.append(_row(probe, derivative, middle, up, down, gap, scales))
     verdicts = {row.verdict for row in rows}
     certificate = Certificate(tuple(rows), "ok" in verdicts and verdicts <= {*RIGHT})
     if verbose:
@@ -135,82 +142,67 @@ def check_gradients(
     return certificate
 
 
-def _cast(point: Any, dtype: np.dtype) -> Any:
-    cast = lambda x: x.astype(dtype) if eqx.is_inexact_array(x) else x
-    return jax.tree.map(cast, point)
-
-
 @eqx.filter_jit
-def _render(image: Callable, point: Any) -> Any:
-    return image(*point)
-
-
-@eqx.filter_jit
-def _forward(image: Callable, point: Any, tangent: Any) -> Float[Array, "H W"]:
+def _render(image: Callable, point: Any, x: Any) -> Any:
+    """Return the image where the float arrays of camera and scene have these numbers (n,)."""
     moving, still = eqx.partition(point, eqx.is_inexact_array)
-    return jax.jvp(lambda m: image(*eqx.combine(m, still)), (moving,), (tangent,))[1]
+    _, put = ravel_pytree(jax.tree.map(lambda leaf: leaf.astype(x.dtype), moving))
+    return image(*eqx.combine(put(x), still))
 
 
 @eqx.filter_jit
-def _gradient(image: Callable, point: Any, weight: Array) -> Any:
+def _forward(image: Callable, point: Any, x: Any, direction: Any) -> Float[Array, "H W"]:
+    return jax.jvp(partial(_render, image, point), (x,), (direction,))[1]
+
+
+@eqx.filter_jit
+def _gradient(image: Callable, point: Any, x: Any, weight: Any) -> Float[Array, "n"]:
     def loss(x):
-        value = image(*x)
+        value = _render(image, point, x)
         return jnp.sum(weight.astype(value.dtype) * value)
 
-    return eqx.filter_grad(loss)(point)
-
-
-def _moved(image: Callable, point: Any, probe: Probe) -> np.ndarray:
-    """Return the image at each step along a direction (2, K, H, W), forth and back."""
-    shift = lambda h: jax.tree.map(lambda x: x.astype(float) * h, probe.direction)
-    at = lambda h: np.asarray(_render(image, eqx.apply_updates(point, shift(h))), float)
-    return np.stack([[at(side * h) for h in STEPS] for side in (probe.step, -probe.step)])
+    return jax.grad(loss)(x)
 
 
 def _row(
     probe: Probe,
     derivative: np.ndarray,
     middle: np.ndarray,
-    moved: np.ndarray,
+    up: np.ndarray,
+    down: np.ndarray,
     gap: float,
     scales: Scales,
 ) -> Row:
-    up, down = moved
-    tolerance, least = scales.tolerance, scales.least * scales.step_px / probe.step
+    tolerance = scales.tolerance
     with np.errstate(invalid="ignore"):  # the verdict reports it, no warning
         largest = np.max(np.abs(up[0] - down[0])) / (2 * probe.step)
-        scale = max(largest, least)
-        nearby = slopes(middle, up, down, probe.step, tolerance / 2 * scale)
-        errors = outside(derivative, nearby) / scale
-    verdict = _verdict(errors, gap, nearby, scales, scale)
-    if verdict == "ok" and largest <= tolerance * least:
-        verdict = "moves nothing"
-    shown = np.abs(nearby.central) if np.max(errors) <= tolerance else errors
-    row, column = np.unravel_index(np.argmax(shown), shown.shape)  # the first NaN, if any
-    values = float(derivative[row, column]), float(nearby.central[row, column])
-    counts = float(np.max(errors)), gap, int(np.sum(nearby.kink))
-    return Row(probe.name, *values, (int(row), int(column)), probe.step, *counts, verdict)
+        scale = max(largest, probe.least)
+        allowed = tolerance / 2 * scale
+        central, kink, off = compared(derivative, middle, up, down, probe.step, allowed)
+        errors, moving = off / scale, np.abs(central) > MOVING * scale
+    worst, kinks = np.max(errors), np.sum(kink)
+    faults = {
+        "not finite": not np.isfinite(worst + gap),
+        "wrong derivative": worst > tolerance,
+        "reverse differs": gap > scales.reverse,
+        "undecided": kinks > KINKS_ALLOWED * np.sum(moving),
+        "moves nothing": largest <= tolerance * probe.least,
+    }
+    verdict = next((fault for fault, is_so in faults.items() if is_so), "ok")
+    shown = np.abs(central) if worst <= tolerance else errors
+    at = np.unravel_index(np.argmax(shown), shown.shape)  # the first NaN, if any
+    row, column = map(int, at)
+    values = float(derivative[at]), float(central[at])
+    counts = float(worst), gap, int(kinks)
+    return Row(probe.name, *values, (row, column), probe.step, *counts, verdict)
 
 
-def _verdict(errors: np.ndarray, gap: float, nearby: Slopes, scales: Scales, scale: float) -> str:
-    if not (np.all(np.isfinite(errors)) and np.isfinite(gap)):
-        return "not finite"
-    if np.max(errors) > scales.tolerance:
-        return "wrong derivative"
-    if gap > scales.reverse:
-        return "reverse differs"
-    moving = np.abs(nearby.central) > MOVING * scale
-    return "undecided" if np.sum(nearby.kink) > KINKS_ALLOWED * np.sum(moving) else "ok"
-
-
-def _mode_gap(gradient: Any, probe: Probe, pushed: np.ndarray, least: float) -> float:
+def _mode_gap(gradient: np.ndarray, probe: Probe, pushed: np.ndarray) -> float:
     """Return the relative distance of <gradient, direction> from the sum of the weighted
     derivative."""
-    parts = (jax.tree.leaves(tree) for tree in (gradient, probe.direction))
-    slopes, ways = ([np.asarray(x, float) for x in part] for part in parts)
-    # (A NaN where the direction is 0 belongs to another row.)
-    pulled = sum(np.sum(g[x != 0] * x[x != 0]) for g, x in zip(slopes, ways, strict=True))
-    scale = max(np.sum(np.abs(pushed)), least * sum(pushed.shape))
+    moving = probe.direction != 0  # (a NaN elsewhere belongs to another row)
+    pulled = gradient[moving] @ probe.direction[moving].astype(float)
+    scale = max(np.sum(np.abs(pushed)), probe.least * sum(pushed.shape))
     with np.errstate(invalid="ignore"):
         return float(np.abs(pulled - np.sum(pushed)) / scale)
 

@@ -47,29 +47,22 @@ class Scales(NamedTuple):
         return cls(step_px, tolerance, 1e-9 if double else 1e-4, least, exact)
 
 
-class Slopes(NamedTuple):
-    """An image's slopes along one direction, per unit of it.
-
-    - `central`: the central difference at the chosen step.
-    - `kink`: where no pair of steps agrees.
-    - `low`, `high`: bounds of a right derivative: at a kink the slopes to either side over the
-      least step, elsewhere both are the central difference.
-    """
-
-    central: Float[np.ndarray, "H W"]
-    kink: Bool[np.ndarray, "H W"]
-    low: Float[np.ndarray, "H W"]
-    high: Float[np.ndarray, "H W"]
+Image = Float[np.ndarray, "H W"]
 
 
-def slopes(
-    middle: Float[np.ndarray, "H W"],
+def compared(
+    derivative: Image,
+    middle: Image,
     up: Float[np.ndarray, "K H W"],
     down: Float[np.ndarray, "K H W"],
     step: float,
     allowed: float,
-) -> Slopes:
-    """Return the slopes of images at x, x + h and x - h, for each h of `step * STEPS`.
+) -> tuple[Image, Bool[np.ndarray, "H W"], Image]:
+    """Compare a derivative with images at x, x + h and x - h, for each h of `step * STEPS`.
+
+    Return the central difference at the chosen step; where no pair of steps agrees; and how far the
+    derivative is off: at a kink from the slopes to either side over the least step, between which
+    it must lie, elsewhere from the central difference.
 
     Two differences agree if they are within `allowed` (per unit of x). They must agree on the
     slope, and on the gap between the slopes to either side. The gap halves with the step where the
@@ -83,10 +76,5 @@ def slopes(
         agree = np.abs(central[k] - central[k + 1]) <= allowed
         agree &= np.abs(gap[k] - 2 * gap[k + 1]) <= allowed
         slope, kink = np.where(agree, central[k + 1], slope), kink & ~agree
-    low, high = np.minimum(left[-1], right[-1]), np.maximum(left[-1], right[-1])
-    return Slopes(slope, kink, np.where(kink, low, slope), np.where(kink, high, slope))
-
-
-def outside(derivative: Float[np.ndarray, "H W"], nearby: Slopes) -> Float[np.ndarray, "H W"]:
-    """Return the distance of each pixel's derivative from the bounds of its slopes."""
-    return np.maximum(np.maximum(nearby.low - derivative, derivative - nearby.high), 0)
+    sides = np.where(kink, np.sort([left[-1], right[-1]], axis=0), slope)
+    return slope, kink, np.maximum(sides[0] - derivative, derivative - sides[1]).clip(0)

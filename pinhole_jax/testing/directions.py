@@ -1,11 +1,10 @@
 """Directions to move a camera and a scene in, one at a time, and their steps."""
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -18,14 +17,21 @@ Point = tuple[Camera, Scene]
 
 
 class Probe(NamedTuple):
-    """A direction of (camera, scene): their float arrays, 0 in all but one of them.
+    """A direction of the numbers (n,) of `floats`, 0 in all arrays but one.
 
     `step` is a power of two, in that array's units: the rounding of x + step is then the least.
+    `least` is the least slope along it that is no rounding.
     """
 
     name: str
-    direction: Point
+    direction: Float[np.ndarray, "n"]
     step: float
+    least: float
+
+
+def floats(point: Any) -> list[Any]:
+    """Return the float arrays of a camera, a scene, or both."""
+    return jax.tree.leaves(eqx.filter(point, eqx.is_inexact_array))
 
 
 def camera_and_scene(point: Point, scales: Scales, directions: int, seed: int) -> Iterator[Probe]:
@@ -36,8 +42,8 @@ def camera_and_scene(point: Point, scales: Scales, directions: int, seed: int) -
     them: over a long step the outline would jump from vertex to vertex.
     """
     random, motion = np.random.default_rng(seed), _motion(*point)
-    leaves, tree = jax.tree.flatten_with_path(eqx.filter(point, eqx.is_inexact_array))
-    still, slopes = [jnp.zeros_like(leaf) for _, leaf in leaves], jax.tree.leaves(motion)
+    leaves, _ = jax.tree.flatten_with_path(eqx.filter(point, eqx.is_inexact_array))
+    slopes, ends = jax.tree.leaves(motion), np.cumsum([leaf.size for _, leaf in leaves])
     for number, ((part, *_, key), leaf) in enumerate(leaves):
         if not leaf.size:
             continue
@@ -45,16 +51,16 @@ def camera_and_scene(point: Point, scales: Scales, directions: int, seed: int) -
         px = np.max(np.abs(motion.e if part.idx else slopes[number])) or point[0].W / np.max(leaf)
         step = float(2.0 ** np.round(np.log2(scales.step_px / px)))
         names = [f"{key.name}.{axis}" for axis in "xyz"[: leaf.size]] if leaf.ndim else [key.name]
-        values = np.eye(leaf.size).reshape(-1, *leaf.shape)
+        values = np.eye(leaf.size)
         if part.idx:
             smooth = key.name == "vertices" and not scales.exact
             draw = _waves if smooth else lambda leaf, random: random.uniform(-1, 1, leaf.shape)
             names = [f"{key.name} #{k + 1}" for k in range(directions)]
             values = [draw(np.asarray(leaf), random) for _ in names]
         for name, value in zip(names, values, strict=True):
-            direction = [*still]
-            direction[number] = jnp.asarray(value, leaf.dtype)
-            yield Probe(name, tree.unflatten(direction), step)
+            direction = np.zeros(ends[-1], point[0].e.dtype)
+            direction[ends[number] - leaf.size : ends[number]] = np.ravel(value)
+            yield Probe(name, direction, step, scales.least * scales.step_px / step)
 
 
 def _motion(camera: Camera, scene: Scene) -> Camera:
@@ -69,7 +75,7 @@ def _motion(camera: Camera, scene: Scene) -> Camera:
 
 def _distance(camera: Camera, scene: Scene) -> float:
     """Return the distance of the scene's middle from the eye or, from within, its radius."""
-    if not any(x.size for x in jax.tree.leaves(eqx.filter(scene, eqx.is_inexact_array))):
+    if not any(leaf.size for leaf in floats(scene)):
         return float(np.linalg.norm(np.asarray(camera.p - camera.e)))
     center, radius = ball_about(np.asarray(bounding_box(scene)))
     return max(float(np.linalg.norm(center - np.asarray(camera.e))), float(radius))
