@@ -21,12 +21,12 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
     if options.refine and options.image is None:
         raise ValueError("`refine`: expected a photo, got none: add --image PHOTO")
     inputs = read_inputs(record_of(options))
-    scene, mask, centres = inputs.scene, inputs.target, options.pixel_centres
-    picture = mask if inputs.photo is None else inputs.photo
+    scene, mask, centres = inputs["scene"], inputs["target"], options.pixel_centres
+    picture = inputs.get("photo", mask)
     if not options.refine:
-        inputs = inputs._replace(photo=None)
+        inputs["photo"] = None
     progress.say("fitting (the first time compiles, some seconds)")
-    fit = pj.fit_camera(**inputs._asdict(), record=options.report is not None)
+    fit = pj.fit_camera(**inputs, record=options.report is not None)
 
     progress.say("drawing")
     drawing = overlay(picture, fit.camera, scene)

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from .. import Fit, Progress, fit_camera, io, silhouette
+from .._files.fields import Fields
 from .._files.paths import written_path
 from ..batch.inputs import Start, numbers_of
 from ..formats import FORMATS, object_pose, write
@@ -192,7 +193,7 @@ class Bench:
 
     def stroke(self, **data: Any) -> Answer:
         """Draw: see `strokes.stroke_of`."""
-        return self._push_work((*self.session.strokes, stroke_of(data)))
+        return self._push_work((*self.session.strokes, stroke_of(Fields(data, "a stroke"))))
 
     def view_guides(self) -> Answer:
         """Guide the guess by the view: object well within the outline, background well outside."""

@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from .. import Camera, Fit, Scene, outline, project, rays_through
+from .. import Camera, Fit, Scene, outline
 from ..plot import outline_sigma
-from ..show.outline import from_top
-from ..show.space import axes_of
+from ..show.space import axes_of, from_top, places_of, points_at
 from .hand import focal_px, principal_point
 
 #: A grid of straight lines has this many of them along the shorter side of the picture.
@@ -63,7 +62,9 @@ def grid_lines(camera: Camera) -> list[np.ndarray]:
     spacing = min(size) / GRID
     steps = lambda reach: spacing * np.arange(-(reach // spacing), reach // spacing + 1)
     lines = [((a, -y), (a, y)) for a in steps(x)] + [((-x, b), (x, b)) for b in steps(y)]
-    bent = _bent(camera, np.array(lines) / focal_px(camera))
+    right_up, ahead = np.split(axes_of(camera), [2])
+    slopes = np.array(lines) / focal_px(camera)
+    bent = _bent(camera, np.asarray(camera.e, float) + slopes @ right_up + ahead)
     near = np.all(np.abs(bent - size / 2) < 0.6 * size, axis=-1)
     parts = []
     for line, inside in zip(bent, near, strict=True):
@@ -75,15 +76,10 @@ def grid_lines(camera: Camera) -> list[np.ndarray]:
 def straight_lines(camera: Camera, lines: Sequence[Any]) -> np.ndarray:
     """Return lines straight in space, each from one place of the picture to another, as the lens
     shows them: rows of points."""
-    ends = from_top(camera, np.reshape(lines, (-1, 2, 2))).astype(camera.e.dtype)
-    rays = np.asarray(rays_through(camera, ends).direction, float) @ axes_of(camera).T
-    return _bent(camera, rays[..., :2] / rays[..., 2:])
+    ends = points_at(camera, from_top(camera, np.reshape(lines, (-1, 2))), 1.0)
+    return _bent(camera, ends.reshape(-1, 2, 3))
 
 
 def _bent(camera: Camera, ends: np.ndarray) -> np.ndarray:
-    """Return the places (n, `POINTS`, 2) of lines straight in space. The directions of their ends
-    (n, 2, 2) are slopes to the right and up, for one ahead."""
-    axes, slopes = axes_of(camera), np.linspace(ends[:, 0], ends[:, 1], POINTS, axis=1)
-    points = np.asarray(camera.e, float) + slopes @ axes[:2] + axes[2]
-    shown = np.asarray(project(camera, points.astype(camera.e.dtype)), float)
-    return from_top(camera, shown).round(2)
+    """Return the places (n, `POINTS`, 2) of lines straight in space, by their ends (n, 2, 3)."""
+    return places_of(camera, np.linspace(ends[:, 0], ends[:, 1], POINTS, axis=1)).round(2)

@@ -11,8 +11,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from .. import BrownConrady, Camera, Lens
-from ..show.outline import from_top
-from ..show.space import axes_of
+from ..show.space import axes_of, from_top
 
 #: The first direction from an upright object to the camera: ahead, to the right and above.
 FIRST_LOOK = (0.4, 0.45, 1.0)

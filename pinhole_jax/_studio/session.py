@@ -10,7 +10,7 @@ from ..batch.inputs import Start, numbers_of, poseless_camera
 from ..io import camera_from_dict, camera_to_dict
 from ..names import FREE
 from .hand import frame_object
-from .strokes import Work, work_from_list
+from .strokes import MOST_STROKES, Work, step_of
 from .workpiece import Workpiece
 
 SCHEMA = "pinhole_jax.studio/1"
@@ -68,11 +68,14 @@ def session_from_text(text: str, name: str = "session") -> Session:
     phi = None if fields.data.get("known_phi") is None else fields.angle("known_phi")
     try:
         camera = camera_from_dict(fields.data.get("camera") or {}, fitted=True)
-        work = work_from_list(fields.data.get("strokes", []), camera.W, camera.H)
         free = free_of(fields.data.get("free", ["pose"]))
         lines = tuple(numbers_of("line", ends, 4) for ends in fields.data.get("lines", []))
     except (TypeError, ValueError) as error:
         raise ValueError(f"{error} (in {name!r})") from error
+    steps = fields.parts("strokes") if "strokes" in fields else []
+    if len(steps) > MOST_STROKES:
+        raise fields.wrong("strokes", f"at most {MOST_STROKES}", f"{len(steps)}")
+    work = tuple(step_of(step, camera.W, camera.H) for step in steps)
     return Session(fields.text("mesh"), fields.text("photo"), camera, free, work, lines, phi)
 
 

@@ -5,13 +5,13 @@ Places are in px from the picture's upper left corner, x right, y down.
 
 import base64
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from functools import lru_cache
 from io import BytesIO
-from reprlib import repr as brief
 from typing import Any, NamedTuple
 
 import numpy as np
+
+from .._files.fields import Fields
 
 #: The kinds of strokes. Guides mark object and background, and the rest is guessed from the photo;
 #: paint adds its pixels to the mask or takes them away.
@@ -63,8 +63,8 @@ def draw_strokes(
         # Pillow's places are those of pixels' centres.
         points = [(x - 0.5, y - 0.5) for x, y in stroke.points]
         draw.line(points, value, max(round(2 * radius), 1))
-        for x, y in points:
-            draw.ellipse([x - radius, y - radius, x + radius, y + radius], value)
+        for point in points:
+            draw.circle(point, radius, value)
     return np.asarray(image)
 
 
@@ -171,33 +171,24 @@ def pixels_of(png: str) -> np.ndarray:
     return np.asarray(Image.open(BytesIO(base64.b64decode(png)), formats=("PNG",)))
 
 
-def work_from_list(data: Any, W: int, H: int) -> Work:
-    """Return the work of a session's file for a picture of this size, or raise ValueError."""
-    if not isinstance(data, list) or len(data) > MOST_STROKES:
-        raise ValueError("`strokes`: expected a list of strokes and masks")
-    has_mask = lambda step: isinstance(step, dict) and "mask" in step
-    return tuple(_loaded(x["mask"], W, H) if has_mask(x) else stroke_of(x) for x in data)
-
-
-def stroke_of(data: Any) -> Stroke:
-    """Return a stroke of `kind`, `radius_px` and `points`, or raise ValueError."""
-    with suppress(KeyError, TypeError, ValueError):
-        kind, radius, places = data["kind"], float(data["radius_px"]), np.array(data["points"])
-        near = places.shape[1:] == (2,) and np.all(np.abs(places.astype(float)) < MOST_PX)
-        if kind in KINDS and near and 0 < len(places) <= MOST_POINTS and 0 < radius < MOST_PX:
-            return Stroke(kind, radius, tuple(map(tuple, places.astype(float).tolist())))
-    raise ValueError(
-        f"`stroke`: expected a `kind` among {', '.join(KINDS)}, a `radius_px` above 0 and 1 to"
-        f" {MOST_POINTS} `points` [x, y] on the picture (px), got {brief(data)}"
-    )
-
-
-def _loaded(text: Any, W: int, H: int) -> LoadedMask:
-    """The mask (H, W) in a PNG in base64, or a ValueError."""
+def step_of(data: Fields, W: int, H: int) -> Stroke | LoadedMask:
+    """Return a stroke, or a mask for a picture of this size, of a session's file, or raise
+    ValueError."""
+    if "mask" not in data:
+        return stroke_of(data)
     try:
-        mask = pixels_of(text)
+        mask = pixels_of(data.text("mask"))
     except Exception as error:  # the reader raises many kinds
-        raise ValueError(f"`mask`: expected a PNG file in base64, got none: {error}") from None
+        raise data.wrong("mask", "a PNG file in base64", f"none: {error}") from None
     if mask.dtype != np.uint8 or mask.shape != (H, W):
-        raise ValueError(f"`mask`: expected 8 bits, {W} x {H} px, got shape {mask.shape}")
-    return LoadedMask(text)
+        raise data.wrong("mask", f"8 bits, {W} x {H} px", f"shape {mask.shape}")
+    return LoadedMask(data.text("mask"))
+
+
+def stroke_of(data: Fields) -> Stroke:
+    """Return a stroke of `kind`, `radius_px` and `points` [x, y], or raise ValueError."""
+    kind, points = data.text("kind", KINDS), data.array("points", (-1, 2))
+    if not 0 < len(points) <= MOST_POINTS or np.any(np.abs(points) > MOST_PX):
+        raise data.wrong("points", f"1 to {MOST_POINTS} places on the picture (px)", points)
+    radius = data.number("radius_px", None, "a radius above 0 px", 0, MOST_PX)
+    return Stroke(kind, radius, tuple(map(tuple, points.tolist())))

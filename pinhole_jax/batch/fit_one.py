@@ -39,12 +39,11 @@ def fit_one(record: Record, last: "Camera | None" = None) -> Row:
         checked = check_record(record)
         with listening(notes.append, NOTES):
             inputs = read_inputs(checked)
-        if last is not None and inputs.camera is None and inputs.target.shape == (last.H, last.W):
-            known = {"phi": inputs.phi, "lens": inputs.lens} if "K" in checked else {}
-            inputs = inputs._replace(camera=last.replace(**known), phi=None, lens=None)
-        names = {"outlier_px", "max_steps", "prior", "bounds"} & checked.keys()
-        more = {name: checked[name] for name in names}
-        row = _row_of(checked, pj.fit_camera(**inputs._asdict(), **more), "; ".join(notes))
+        size = inputs["target"].shape
+        if last is not None and inputs["camera"] is None and size == (last.H, last.W):
+            lens = {name: inputs.pop(name) for name in ("phi", "lens")}
+            inputs["camera"] = last.replace(**lens if "K" in checked else {})
+        row = _row_of(checked, pj.fit_camera(**inputs), "; ".join(notes))
     except Exception as error:  # one bad record does not stop the others
         known = isinstance(error, ValueError | OSError | ModuleNotFoundError)
         words = str(error) if known else f"{type(error).__name__}: {error}"

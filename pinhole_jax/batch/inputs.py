@@ -5,8 +5,6 @@ import functools
 import math
 import os
 import threading
-import warnings
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,9 +19,11 @@ Size = tuple[int, int]
 #: A field of view (degrees) below `LEAST_FOV` is a mistake. A principal point farther from the
 #: middle than this share of the picture's width is unusual.
 LEAST_FOV, MOST_OFF = 1.0, 0.1
+#: Fields that are arguments of `fit_camera`.
+AS_THEY_ARE = ("outlier_px", "max_steps", "prior", "bounds")
 #: This many meshes are kept.
 MESHES = 8
-#: Threads read one mesh after another: the mesh is kept, and its warnings are caught.
+#: Threads read one mesh after another: the mesh is kept.
 _reading = threading.Lock()
 
 
@@ -35,34 +35,25 @@ class Start(NamedTuple):
     lens: pj.Lens | None = None
 
 
-class Inputs(NamedTuple):
-    """The arguments of `fit_camera`; `photo` is for refinement or for drawing."""
+def read_inputs(record: Record) -> dict[str, Any]:
+    """Return the arguments of `fit_camera` that a record has, the mesh read last; `photo` is for
+    refinement or for drawing.
 
-    scene: pj.Scene
-    target: np.ndarray
-    camera: pj.Camera | None
-    phi: Any
-    lens: pj.Lens | None
-    free: str | Sequence[str]
-    weight: np.ndarray | None = None
-    photo: np.ndarray | None = None
-
-
-def read_inputs(record: Record) -> Inputs:
-    """Return the inputs of a fit, the mesh read last; raise ValueError naming the wrong field."""
+    Raises ValueError naming the wrong field.
+    """
     if str(record["mesh"]).lower().endswith(PICTURES):
         words = f"expected triangles, got the picture {record['mesh']!r}"
         raise ValueError(f"`mesh`: {words}: are `mesh` and `mask` exchanged?")
     mask = read_mask(record)
-    start = read_start(record, (mask.shape[1], mask.shape[0]))
-    weight = photo = None
+    known = read_start(record, (mask.shape[1], mask.shape[0]))._asdict()
+    known |= {"target": mask, "free": setting(record, "free")}
     if "weight" in record:
         with named(path="weight"):
-            weight = pj.io.load_mask(record["weight"], "luminance") / 255.0
+            known["weight"] = pj.io.load_mask(record["weight"], "luminance") / 255.0
     if "photo" in record:
-        photo = read_photo(record["photo"], mask)
-    scene = read_scene(record["mesh"])
-    return Inputs(scene, mask, *start, setting(record, "free"), weight, photo)
+        known["photo"] = read_photo(record["photo"], mask)
+    known |= {name: record[name] for name in AS_THEY_ARE if name in record}
+    return {**known, "scene": read_scene(record["mesh"])}
 
 
 def read_mask(record: Record) -> np.ndarray:
@@ -110,10 +101,7 @@ def _scene(path: str, changed: float) -> tuple[pj.Scene, list[str]]:
     """Return a mesh's scene, and notes on it."""
     del changed
     notes: list[str] = []
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        scene = pj.Scene(mesh=pj.load_mesh(path, say=notes.append))
-    notes += [str(warning.message) for warning in caught]
+    scene = pj.Scene(mesh=pj.load_mesh(path, say=notes.append))
     return scene, [note.replace("`path`", "`mesh`") for note in notes]
 
 

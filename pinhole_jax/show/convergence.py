@@ -4,9 +4,10 @@ from itertools import groupby
 
 import numpy as np
 
-from .. import Fit, Progress, Scene, contour_points, project
+from .. import Fit, Progress, Scene, contour_points
 from .outline import check_fit
 from .page import Svg
+from .space import places_of
 
 #: The diagram's field on its page: left, top, width, height.
 FIELD = 64, 24, 640, 260
@@ -25,12 +26,11 @@ def off_px(fit: Fit, scene: Scene) -> list[float]:
     ```
     """
     check_fit(fit)
-    points = np.asarray(contour_points(fit.camera, scene), fit.camera.e.dtype)
+    points = np.asarray(contour_points(fit.camera, scene))
     if not len(points):
         return [float("nan")] * len(fit.history)
-    place = lambda camera: np.asarray(project(camera, points), float)
-    last = place(fit.camera)
-    moves = (place(stop.camera) - last for stop in fit.history)
+    last = places_of(fit.camera, points)
+    moves = (places_of(stop.camera, points) - last for stop in fit.history)
     return [float(np.sqrt(np.mean(np.sum(m**2, axis=1)))) for m in moves]
 
 

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from .. import Camera, Fit, Scene, contour_points, outline, project, silhouette
+from .. import Camera, Fit, Scene, contour_points, outline, silhouette
 from ..io import as_coverage
+from .space import from_top, places_of
 
 CYAN, RED = (0, 240, 255), (235, 40, 60)
 DARK, YELLOW = (0, 30, 60), (255, 220, 0)
@@ -48,11 +49,11 @@ def outline_sigma(fit: Fit, scene: Scene) -> Float[np.ndarray, "n"]:
     from scipy.spatial import KDTree
 
     check_fit(fit)
-    camera, segments = fit.camera, outline(fit.camera, scene)
+    camera, segments = fit.camera, from_top(fit.camera, outline(fit.camera, scene))
     if not len(segments):
         return np.zeros(0)
-    place = lambda camera: np.asarray(project(camera, points), float)
-    points = np.asarray(contour_points(camera, scene), camera.e.dtype)
+    place = lambda camera: places_of(camera, points)
+    points = np.asarray(contour_points(camera, scene))
     points = points[KDTree(place(camera)).query(segments.mean(axis=1))[1]]
     far = float(np.linalg.norm(np.mean(points - np.asarray(camera.e), axis=0)))
     along = segments[:, 1] - segments[:, 0]
@@ -67,16 +68,14 @@ def sigma_moves(
     """Return the changes of a camera's values (n, d) by one sigma along each principal axis of its
     covariance, to first order; the object is `far` away (world units).
 
-    Parameters that the mask does not determine are left out; a change of 0 comes first.
+    Parameters that the mask does not determine are left out.
     """
-    known = np.flatnonzero(np.isfinite(fit.std))
+    known = np.isfinite(fit.std)
     large = {"e": far, "d": float(fit.camera.d), "principal": fit.camera.H}
     small = 1e-3 * np.array([large.get(name.split("_")[0], 1.0) for name in fit.names])
-    variance, axes = np.linalg.eigh(fit.covariance[np.ix_(known, known)])
-    changes = [0 * value(fit.camera)]
-    for size, axis in zip(np.sqrt(np.maximum(variance, 0)), axes.T, strict=True):
-        step = np.zeros(len(fit.std))
-        step[known] = size * axis
+    variance, axes = np.linalg.eigh(np.where(np.outer(known, known), fit.covariance, 0.0))
+    changes = []
+    for step in (np.sqrt(np.maximum(variance, 0)) * axes).T:
         share = 1 / max(float(np.max(np.abs(step) / small)), 1)  # within the linear range
         ends = (value(fit.displaced(sign * share * step)) for sign in (1, -1))
         changes.append(np.subtract(*ends) / 2 / share)
@@ -113,8 +112,8 @@ def overlay(
     factor = -(-SHOWN_PX // max(W, H))
     fine = 2 * factor  # lines are drawn at twice the size and averaged down: no jagged edges
     shown = lambda film: (from_top(camera, film) - [left, top]) * fine
-    canvas = Image.fromarray(np.ascontiguousarray(image[top:bottom, left:right])).convert("RGB")
-    canvas = canvas.resize((W * fine, H * fine), Image.Resampling.NEAREST)
+    canvas = Image.fromarray(np.ascontiguousarray(image)).convert("RGB")
+    canvas = canvas.resize((W * fine, H * fine), Image.Resampling.NEAREST, window)
     corners = shown(outline(camera, scene))
     near = np.all(np.abs(corners) < 1e4 * fine, axis=(1, 2))
     if band_px is not None:
@@ -124,7 +123,7 @@ def overlay(
         for segment in corners[near].reshape(-1, 4).tolist():
             draw.line(segment, fill=line, width=width)
     for dot in () if dots is None else shown(dots):
-        draw.ellipse([*(dot - factor), *(dot + factor)], fill=RED)
+        draw.circle(dot.tolist(), factor, RED)
     return np.asarray(canvas.resize((W * factor, H * factor), Image.Resampling.BOX))
 
 
@@ -135,7 +134,7 @@ def _draw_band(canvas: Any, segments: np.ndarray, half: np.ndarray) -> None:
     draw = ImageDraw.Draw(cover)
     for (a, b), wide in zip(segments, half, strict=True):
         draw.line([*a, *b], 255, max(round(2 * wide), 1))
-        draw.ellipse([*(b - wide), *(b + wide)], 255)
+        draw.circle(b.tolist(), wide, 255)
     border = ImageChops.subtract(cover, cover.filter(ImageFilter.MinFilter(7)))
     tint = cover.point([TINT * value // 255 for value in range(256)])
     canvas.paste(YELLOW, mask=ImageChops.lighter(border, tint))
@@ -175,10 +174,9 @@ def object_window(camera: Camera, scene: Scene) -> Window:
     ends = ends[np.all((ends >= 0) & (ends <= size), axis=1)]
     if not len(ends):
         return 0, 0, camera.W, camera.H
-    low, high = ends.min(axis=0), ends.max(axis=0)
-    margin = 0.08 * np.max(high - low) + 2
-    left, top = np.floor(np.maximum(low - margin, 0)).astype(int).tolist()
-    right, bottom = np.ceil(np.minimum(high + margin, size)).astype(int).tolist()
+    margin = 0.08 * np.max(np.ptp(ends, axis=0)) + 2
+    corners = np.floor(ends.min(axis=0) - margin), np.ceil(ends.max(axis=0) + margin)
+    left, top, right, bottom = np.clip(corners, 0, size).astype(int).ravel().tolist()
     return left, top, right, bottom
 
 
@@ -220,11 +218,6 @@ def _place(camera: Camera, points: np.ndarray) -> str:
     off = np.linalg.norm(points - np.median(points, axis=0), axis=1)
     x, y = points[np.argmin(off)]
     return f"column {int(x)}, row {int(camera.H - y)}"
-
-
-def from_top(camera: Camera, places: np.ndarray) -> np.ndarray:
-    """Return film coordinates (..., 2) as places from the picture's upper left corner, or back."""
-    return places * [1, -1] + [0, camera.H]
 
 
 def coverage_of(target: np.ndarray, camera: Camera) -> np.ndarray:

@@ -1,17 +1,17 @@
 """The object and the camera in space, seen from the side."""
 
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from functools import partial
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from .. import Camera, Rays, Scene, camera_basis, rays_through, trace
+from .. import Camera, Scene, camera_basis, normals, project, rays_through
 from .page import Svg
 
-#: The viewer's angles above and behind the camera's line of sight (rad).
-ABOVE, BEHIND = 0.44, 0.35
+#: The viewer's angles above and behind the camera's line of sight (rad), and how far away it is, in
+#: sizes of the picture: perspective hardly shows.
+ABOVE, BEHIND, FAR = 0.44, 0.35, 1e3
 #: The number of rays through each side of the film. Rays farther from the axis than this cosine
 #: (78 degrees) are drawn no longer than it: at 90 degrees they would be endless.
 SIDE, LEAST_COSINE = 17, 0.2
@@ -26,38 +26,28 @@ FACE, LINE, FILM, GROUND = (214, 196, 168), (0, 107, 138), (0, 150, 190, 28), (2
 Points = Float[np.ndarray, "n 3"]
 
 
-class Sheet(NamedTuple):
-    """A parallel view on paper: px (x right, y down) from points of the world, and back.
+def viewer_of(camera: Camera, spread: Points, size: tuple[int, int], room: float) -> Camera:
+    """Return a far camera behind and above another one, with all of `spread` on a film of this size
+    and margin (px)."""
+    b1, b2, v = axes_of(camera)
+    aside = np.cos(BEHIND) * b1 - np.sin(BEHIND) * v
+    back = np.cos(ABOVE) * aside + np.sin(ABOVE) * b2
+    right = np.cross(b2, aside)
+    axes = np.stack([right, np.cross(back, right), -back])
+    low, high = ((spread @ axes.T).min(axis=0), (spread @ axes.T).max(axis=0))
+    px = max(float(np.max((high - low)[:2] / (np.array(size) - 2 * room))), 1e-30)
+    middle = (low + high) / 2 @ axes
+    phi = 2 * np.arctan(size[1] / (2 * FAR * max(size)))
+    return Camera(middle + FAR * max(size) * px * back, middle, axes[1], phi, 1.0, *size)
 
-    `axes` are the sheet's right and down and the way towards the viewer, `scale` is in px a unit.
-    """
 
-    axes: Float[np.ndarray, "3 3"]
-    scale: float
-    shift: Float[np.ndarray, "2"]
-
-    @classmethod
-    def from_aside(
-        cls, camera: Camera, spread: Points, size: tuple[int, int], room: float
-    ) -> "Sheet":
-        """Return the view of a camera from behind and above it, with all of `spread` on paper of
-        this size and margin (px)."""
-        b1, b2, v = axes_of(camera)
-        aside = np.cos(BEHIND) * b1 - np.sin(BEHIND) * v
-        back = np.cos(ABOVE) * aside + np.sin(ABOVE) * b2
-        right = np.cross(b2, aside)
-        axes = np.stack([right, np.cross(right, back), back])
-        low, high = (spread @ axes[:2].T).min(axis=0), (spread @ axes[:2].T).max(axis=0)
-        scale = float(np.min((np.array(size) - 2 * room) / np.maximum(high - low, 1e-30)))
-        return cls(axes, scale, np.array(size) / 2 - scale * (low + high) / 2)
-
-    def place(self, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
-        """Return the places of points."""
-        return self.scale * points @ self.axes[:2].T + self.shift
+def places_of(viewer: Camera, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
+    """Return the places of points in a camera's picture, px from its upper left corner."""
+    return from_top(viewer, np.asarray(project(viewer, points.astype(viewer.e.dtype)), float))
 
 
 def scene_view(camera: Camera, scene: Scene, size: int = 800) -> np.ndarray:
-    """Return a parallel view, RGB uint8 (3/4 size, size, 3), of the object and the camera.
+    """Return a view from afar, RGB uint8 (3/4 size, size, 3), of the object and the camera.
 
     The frustum reaches to the film through the object's middle; its tick points up. Distortion
     bends it as it bends rays through the film's border. Faces are shaded by their angle to the
@@ -74,35 +64,30 @@ def scene_view(camera: Camera, scene: Scene, size: int = 800) -> np.ndarray:
     depth = max(float(away @ axes_of(camera)[2]), 1e-6 * float(np.linalg.norm(away)), 1e-30)
     border, *_ = wires = _wires(camera, depth)
     wide, high = 2 * size, 2 * (3 * size // 4)  # drawn at twice the size and averaged down
-    sheet = Sheet.from_aside(camera, np.concatenate([*wires, points]), (wide, high), 0.06 * high)
+    viewer = viewer_of(camera, np.concatenate([*wires, points]), (wide, high), 0.06 * high)
 
     canvas = Image.new("RGB", (wide, high), GROUND)
     draw = ImageDraw.Draw(canvas, "RGBA")
-    flat = lambda points: sheet.place(points).ravel().tolist()
+    flat = lambda points: places_of(viewer, points).ravel().tolist()
     draw.polygon(flat(border), FILM)
-    lit = Image.fromarray(_lit(scene, sheet, size, high // 2)).resize(canvas.size)
+    lit = Image.fromarray(_lit(scene, viewer.replace(W=size, H=high // 2))).resize(canvas.size)
     canvas.paste(lit, mask=lit)
     for wire in wires:
         draw.line(flat(wire), (*LINE, 230), 4)
-    draw.ellipse([*(sheet.place(eye) - 9), *(sheet.place(eye) + 9)], LINE)
+    draw.circle(flat(eye), 9, LINE)
     return np.asarray(canvas.resize((size, high // 2), Image.Resampling.BOX))
 
 
-def _lit(scene: Scene, sheet: Sheet, width: int, height: int) -> np.ndarray:
-    """Return a picture (RGBA) of an object, half as large as its sheet."""
-    back = sheet.axes[2]
-    x, y = (2 * np.indices((width, height)).T + 1 - sheet.shift).T / sheet.scale
-    far = np.max(points_of(scene) @ back) + 1 / sheet.scale
-    origins = np.stack([x, y, np.full_like(x, far)]).T @ sheet.axes
-    ways = np.broadcast_to(-back, origins.shape)
-    hit = trace(scene, Rays(jnp.asarray(origins), jnp.asarray(ways)))
-    light = np.abs(np.asarray(hit.normal, float) @ back)[..., None]
-    there = 255 * np.isfinite(np.asarray(hit.t))[..., None]
+def _lit(scene: Scene, viewer: Camera) -> np.ndarray:
+    """Return a picture (RGBA) of an object as a viewer sees it."""
+    normal = np.asarray(normals(viewer, scene), float)
+    light = np.abs(normal @ axes_of(viewer)[2])[..., None]
+    there = 255 * np.any(normal, axis=-1, keepdims=True)
     return np.concatenate([(0.35 + 0.65 * light) * FACE, there], axis=-1).astype(np.uint8)
 
 
 def frustum(camera: Camera, way: Iterable[Camera] = (), others: Sequence[Camera] = ()) -> Svg:
-    """Return a parallel view of a camera as SVG, empty if its numbers are not finite.
+    """Return a view of a camera from afar as SVG, empty if its numbers are not finite.
 
     It shows the frustum up to the view point, as `scene_view` does, and the world's axes there. The
     eyes of `way`, earlier cameras of a fit, are a dotted line; those of `others` rings.
@@ -115,7 +100,7 @@ def frustum(camera: Camera, way: Iterable[Camera] = (), others: Sequence[Camera]
     spread = np.concatenate([*wires, world, [*steps, *rings, middle]])
     if not np.all(np.isfinite(spread)):
         return Svg()
-    place = Sheet.from_aside(camera, spread, (W, H), ROOM).place
+    place = partial(places_of, viewer_of(camera, spread, (W, H), ROOM))
     at = lambda points: " ".join(f"{x:.1f},{y:.1f}" for x, y in place(np.array(points)))
     line = lambda points, style: f'<polyline points="{at(points)}" {style}/>'
     dot = lambda point, style: "<circle cx='{:.1f}' cy='{:.1f}' r='3.5' {}/>".format(
@@ -135,6 +120,11 @@ def frustum(camera: Camera, way: Iterable[Camera] = (), others: Sequence[Camera]
     size = f'width="{W}" height="{H}" viewBox="0 0 {W} {H}"'
     words = 'role="img" aria-label="the camera in the world" font-family="sans-serif" fill="none"'
     return Svg(f'<svg xmlns="http://www.w3.org/2000/svg" {size} {words}>{"".join(parts)}</svg>')
+
+
+def from_top(camera: Camera, places: np.ndarray) -> np.ndarray:
+    """Return film coordinates (..., 2) as places from the picture's upper left corner, or back."""
+    return places * [1, -1] + [0, camera.H]
 
 
 def axes_of(camera: Camera) -> Float[np.ndarray, "3 3"]:

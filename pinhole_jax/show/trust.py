@@ -6,10 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from .. import Camera, Fit, Scene, outline, project
-from .outline import check_fit, from_top, outline_sigma, sigma_moves
+from .. import Camera, Fit, Scene, outline
+from .outline import check_fit, outline_sigma, sigma_moves
 from .page import Svg
-from .space import axes_of, points_at, points_of
+from .space import axes_of, from_top, places_of, points_at, points_of
 
 #: The film is divided into about this many fields across, and drawn this wide.
 FIELDS, WIDTH = 48, 560.0
@@ -77,8 +77,8 @@ def trust(fit: Fit, scene: Scene) -> Trust:
     row, column = np.indices((rows, columns)).reshape(2, -1)
     places = np.stack([column + 0.5, row + 0.5], axis=1) * [camera.W / columns, camera.H / rows]
     on_plane = points_at(camera, places, depth)
-    on_film = lambda c: np.asarray(project(c, on_plane), float)
-    film, spread = (_worst(fit, value, depth) for value in (on_film, before))
+    shown = lambda c: places_of(c, on_plane)
+    film, spread = (_worst(fit, value, depth) for value in (shown, before))
     farthest = int(np.argmax(spread))
     across = outline_sigma(fit, scene)
     picture = _picture(camera, film.reshape(rows, columns), outline(camera, scene))
