@@ -73,11 +73,6 @@ def _names_in(text: str) -> list[str]:
     return [name.strip() for name in text.split(",") if name.strip()]
 
 
-def _free(text: str) -> str:
-    """Return the names of `--free`, with phi for its other name."""
-    return ",".join("phi" if name == "focal" else name for name in _names_in(text))
-
-
 def _join_values(arguments: Sequence[str]) -> list[str]:
     """Return the arguments with the values of --K, --dist and --free joined by commas.
 
@@ -293,7 +288,14 @@ FORMS = {
     for form, words in OPTIONS.items()
     if (found := FORM.fullmatch(form))
 }
-TYPES = {None: str, "float": float, "int": int, "names": _names_in, "free": _free}
+#: (The focal length is phi's other name.)
+TYPES = {
+    None: str,
+    "float": float,
+    "int": int,
+    "names": _names_in,
+    "free": lambda text: re.sub(r"\bfocal\b", "phi", ",".join(_names_in(text))),
+}
 #: The headings of the help, and the options below each; the others have none.
 GROUPS = {
     "camera": "--camera --K --fov --dist --pixel-centres --crop --resize --up --in-hand --start",

@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -40,16 +41,16 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
     camera = known.camera or poseless_camera(known.phi, W, H, known.lens)
 
     progress.say(f"fitting {len(views)} views (the first time compiles, some seconds)")
-    search, zeros = known.camera is None, _zeros(options)
-    fit = fit_joint(views, camera, options.free, search=search, joint_zeros=zeros)
+    free, zeros = options.free, _zeros(options)
+    fitted = partial(fit_joint, free=free, joint_zeros=zeros)
+    fit = fitted(views, camera, search=known.camera is None)
     more: dict[str, Any] = {}
     if options.holdout:
-        refit = lambda half: fit_joint(half, fit.camera, options.free, joint_zeros=zeros)
+        refit = lambda half: fitted(half, fit.camera)
         more["halves"] = str(split_check(refit, (views[::2], views[1::2])))
     finite = fit.status != "non_finite"
     if proposed is not None and finite:
-        factors = worths(views, fit.camera, options.free, proposed, zeros)
-        more["proposed"] = best_postures(factors)
+        more["proposed"] = best_postures(worths(views, fit.camera, free, proposed, zeros))
 
     progress.say("drawing")
     drawings = {
@@ -87,8 +88,7 @@ def read_views(options: argparse.Namespace) -> tuple[Robot, list[JointView]]:
 
 def _zeros(options: argparse.Namespace) -> float | None:
     """Return the sigma (rad) of the joints' zeros; None: they are exact."""
-    degrees = getattr(options, "joint_zeros", None)
-    if degrees is None:
+    if (degrees := options.joint_zeros) is None:
         return None
     if not 0 < degrees < np.inf:
         raise ValueError(f"`joint_zeros`: expected a positive number of degrees, got {degrees}")
@@ -103,12 +103,11 @@ def _views(robot: Robot, options: argparse.Namespace, path: str, option: str) ->
     with named(path=option, angles=option):
         for angles in joint_angles(path, robot):
             poses = robot.poses(angles)
-            if link is not None and link not in poses:
+            if link not in (None, *poses):
                 words = f"expected a link among {', '.join(poses)}, got {link!r}"
                 raise ValueError(f"`in_hand`: {words}")
-            posture = None if _zeros(options) is None else robot.posture(angles)
-            mount = None if link is None else poses[link]
-            views.append(JointView(robot.scene_at(poses), None, mount=mount, posture=posture))
+            scene, posture = robot.scene_at(poses), robot.posture(angles)
+            views.append(JointView(scene, None, mount=poses.get(link), posture=posture))
     return views
 
 

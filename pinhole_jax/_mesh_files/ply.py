@@ -115,9 +115,8 @@ def _columns(table: Table, body: bytes, start: int) -> tuple[dict[str, Lists], i
             raise _cut_short(table)
         rows = np.frombuffer(body, row, count, start)
         lists = [name for name, _, length in table.columns if length]
-        same = [rows[f"{name} length"] == row[name].shape for name in lists]
-        differs = np.flatnonzero(~np.all([np.ones(count, bool), *same], axis=0))
-        run = int(differs[0]) if len(differs) else count
+        differs = [rows[f"{name} length"] != row[name].shape for name in lists]
+        run = int(np.argmax(np.append(np.any([np.zeros(count, bool), *differs], axis=0), True)))
         runs.append(rows[:run])
         left, start = left - run, start + run * row.itemsize
 

@@ -75,29 +75,32 @@ def triangulate(polygons: Polygons) -> Int[np.ndarray, "T 3"]:
     seconds.
     """
     points, corners, counts = polygons
-    if counts.size and np.all(counts == 3):
+    if np.all(counts == 3):
         return _without_joints(corners.reshape(-1, 3))
-
-    starts = np.cumsum(counts) - counts
-    ends, left = np.cumsum(np.maximum(counts - 2, 0)), MOST_STEPS
-    triangles = np.empty((ends[-1] if len(ends) else 0, 3), int)
-    for count in np.unique(counts[counts >= 3]).tolist():
-        alike = np.flatnonzero(counts == count)
-        shared = corners[starts[alike, None] + np.arange(count)]
-        local = np.tile(_fan(count), (len(alike), 1, 1))
-        space = points[shared]
-        wrong = np.flatnonzero(~_fans_are_right(space)) if count > 3 else []
-        left -= len(wrong) * count**2
-        for k in wrong:
-            if left < 0:
-                raise ValueError(
-                    f"face {alike[k] + 1}: {count} corners, not all seen from the first; that many"
-                    " take more than seconds to cut"
-                )
-            local[k] = _cut(space[k], int(alike[k]) + 1)
-        rows = ends[alike, None] - np.arange(count - 2, 0, -1)
-        triangles[rows] = np.take_along_axis(shared[:, None], local, axis=2)
+    starts, numbers = np.cumsum(counts) - counts, np.flatnonzero(counts >= 3)
+    starts, sides = starts[numbers], counts[numbers] - 2
+    begin = np.cumsum(sides) - sides
+    face = np.repeat(np.arange(len(sides)), sides)
+    second = np.arange(len(face)) + (starts + 1 - begin)[face]
+    triangles = corners[np.stack([starts[face], second, second + 1], axis=-1)]
+    wrong = np.flatnonzero(sides > 1)
+    if len(wrong):
+        wrong = wrong[~_fans_are_right(points[triangles], begin, face)[wrong]]
+    for k, steps in zip(wrong, np.cumsum((sides[wrong] + 2) ** 2), strict=True):
+        count, number = sides[k] + 2, int(numbers[k]) + 1
+        if steps > MOST_STEPS:
+            raise ValueError(
+                f"face {number}: {count} corners, not all seen from the first; that many take more"
+                " than seconds to cut"
+            )
+        own = corners[starts[k] : starts[k] + count]
+        triangles[begin[k] : begin[k] + sides[k]] = own[_cut(points[own], number)]
     return _without_joints(triangles)
+
+
+def _without_joints(triangles: np.ndarray) -> np.ndarray:
+    """Return the triangles whose corners differ: others only join strips."""
+    return triangles[np.all(triangles != np.roll(triangles, 1, axis=1), axis=1)]
 
 
 def cut_strips(corners: Int[np.ndarray, "K"], counts: Int[np.ndarray, "S"]) -> np.ndarray:
@@ -110,43 +113,30 @@ def cut_strips(corners: Int[np.ndarray, "K"], counts: Int[np.ndarray, "S"]) -> n
     return triangle_strips_to_faces(strips) if strips else np.empty((0, 3), int)
 
 
-def _without_joints(triangles: np.ndarray) -> np.ndarray:
-    """Return the triangles whose corners differ: others only join strips."""
-    return triangles[np.all(triangles != np.roll(triangles, 1, axis=1), axis=1)]
-
-
-def _fan(n: int) -> np.ndarray:
-    """Return the triangles (n - 2, 3) of n corners that all have the first."""
-    return np.stack([np.zeros(n - 2, int), np.arange(1, n - 1), np.arange(2, n)], axis=-1)
-
-
-def _from_first(space: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return corners (m, n, 3) from the first one on, of size 1, and twice the areas (m, n - 2, 3)
-    of their fans' triangles."""
-    arms = space - space[:, :1]
-    size = np.max(np.abs(arms), axis=(1, 2), keepdims=True)
-    arms = arms / np.where(size > 0, size, 1)
-    return arms, np.cross(arms[:, 1:-1], arms[:, 2:])
-
-
-def _fans_are_right(space: np.ndarray) -> np.ndarray:
-    """Return True (m,) for fans from the first corners that turn one way, at most once around."""
-    arms, areas = _from_first(space)
-    normal = np.sum(areas, axis=1, keepdims=True)
+def _fans_are_right(space: np.ndarray, begin: np.ndarray, face: np.ndarray) -> np.ndarray:
+    """Return True (F,) for fans that turn one way, at most once around: `space` (T, 3, 3) are their
+    triangles, of which a `face` (T,) has those from `begin` (F,) on."""
+    arms = space[:, 1:] - space[:, :1]
+    size = np.maximum.reduceat(np.max(np.abs(arms), axis=(1, 2)), begin)
+    arms /= np.where(size > 0, size, 1)[face, None, None]
+    areas = np.cross(arms[:, 0], arms[:, 1])
+    normal = np.add.reduceat(areas, begin)
     length = np.linalg.norm(normal, axis=-1, keepdims=True)
-    cross = np.sum(areas * (normal / np.where(length > 0, length, 1)), axis=-1)
-    dot = np.sum(arms[:, 1:-1] * arms[:, 2:], axis=-1)
+    cross = np.sum(areas * (normal / np.where(length > 0, length, 1))[face], axis=-1)
+    dot = np.sum(arms[:, 0] * arms[:, 1], axis=-1)
     # Corners in line as seen from the first are no harm; a turn by half a circle is no fan's.
     ahead = (cross > 1e-15) | ((np.abs(cross) <= 1e-15) & (dot > 0))
-    around = np.sum(np.arctan2(cross, dot), axis=-1)
-    return np.all(ahead, axis=-1) & (around <= 2 * np.pi + 1e-9)
+    around = np.add.reduceat(np.arctan2(cross, dot), begin)
+    return np.logical_and.reduceat(ahead, begin) & (around <= 2 * np.pi + 1e-9)
 
 
 def _cut(space: np.ndarray, number: int) -> np.ndarray:
     """Return the triangles (n - 2, 3) of one polygon (n, 3) as corners 0 to n - 1."""
     import manifold3d
 
-    (arms,), (areas,) = _from_first(space[None])
+    arms = space - space[0]
+    arms /= np.max(np.abs(arms)) or 1
+    areas = np.cross(arms[1:-1], arms[2:])
     normal = np.sum(areas, axis=0)
     axis = np.argmax(np.abs(normal))
     flat = arms[:, [axis - 2, axis - 1] if normal[axis] > 0 else [axis - 1, axis - 2]]
