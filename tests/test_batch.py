@@ -29,6 +29,7 @@ from pinhole_jax.batch import parts
 from pinhole_jax.batch.parts import Writer
 from pinhole_jax.batch.records import digest_of
 from pinhole_jax.batch.rows import empty_row, line_of, row_of
+from pinhole_jax.show.page import ENDINGS
 
 SIZE = 64
 COUNT = 4
@@ -659,6 +660,26 @@ def test_command_writes_table_and_camera(rows, folder, tmp_path, capsys, monkeyp
     told = printed("-o out --merge bop.csv", 1)
     assert "failure    test/1/2/3/4: `mask`: none\n" in told
     assert "bop.csv (without 1 rows that have no camera)" in told
+
+
+def test_id_that_reads_as_a_path_leads_out_of_no_folder(rows, tmp_path, monkeypatch):
+    """(A BOP split's ids have slashes.) No file is called by an id, in whatever format."""
+    inside = tmp_path / "deep" / "inside"
+    inside.mkdir(parents=True)
+    monkeypatch.chdir(inside)
+    ids = "../x", "../../x", "a/../../../x"
+    with ThreadPoolExecutor(1) as threads:
+        lost = [{"id": f"{id}.lost", "mesh": "none.ply", "mask": "none.png"} for id in ids]
+        assert batch.fit_many(lost, executor=threads, out="out").ids() == {x["id"] for x in lost}
+    write_rows(inside / "out", [rows[0] | {"id": id} for id in ids])
+    for k, id in enumerate(ids):
+        for name, ending in ENDINGS.items():
+            main(f"-o out --merge {k}.csv --write {id} {k}{ending}")
+            assert Path(f"{k}{ending}").exists(), name
+    assert {path.relative_to(tmp_path).parts[:2] for path in tmp_path.rglob("*")} == {
+        ("deep",),
+        ("deep", "inside"),
+    }
 
 
 def test_command_hands_its_options_to_each_record(tmp_path, monkeypatch):
