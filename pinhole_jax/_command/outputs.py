@@ -41,12 +41,12 @@ def write_results(
     """Write a camera, drawings by the names of their files, and a page if there is --report and
     the camera is finite; say so."""
     folder, report = Path(options.output), options.report if fit.status != "non_finite" else None
-    written = [folder / name for name in ("camera.json", *drawings)]
-    with say_written(*written, *([] if report is None else [report])):
+    camera, pictures = folder / "camera.json", {folder / n: x for n, x in drawings.items()}
+    with say_written(camera, *pictures, *([] if report is None else [report])):
         with named(path="output"):
-            io.save_fit(written[0], fit, pixel_centres=options.pixel_centres)
-            for path, drawing in zip(written[1:], drawings.values(), strict=True):
-                io.save_image(path, drawing)
+            io.save_fit(camera, fit, pixel_centres=options.pixel_centres)
+            for path, picture in pictures.items():
+                io.save_image(path, picture)
         if report is not None:
             with Ticker("drawing the page"), named(path="report"):
                 io.save_text(report, page())

@@ -21,7 +21,7 @@ from .outline import (
     object_window,
     overlay,
 )
-from .page import ENDINGS, Html, as_html, document, facts, figure, items, status, table
+from .page import ENDINGS, Html, as_html, document, figure, items, table
 from .space import scene_view
 from .table import parameters
 from .trust import trust
@@ -107,7 +107,7 @@ def page(
         "Object and camera": figure(scene_view(camera, scene), seen),
         "The camera for other programs": "".join(_files(camera)),
     }
-    return document(title, status(fit) + facts(numbers), sections)
+    return document(title, fit, numbers, sections)
 
 
 def _outline(fit: Fit, scene: Scene, photo: np.ndarray, sigma: np.ndarray) -> str:

@@ -46,9 +46,13 @@ def as_html(text: str) -> str:
     return text if isinstance(text, Html) else html.escape(text)
 
 
-def document(title: str, head: str, sections: Mapping[str, str]) -> str:
-    """Return a page: a title, the HTML below it (`head`), and sections by their headings."""
-    name = html.escape(title)
+def document(
+    title: str, fit: Fit | JointFit, numbers: Mapping[str, str], sections: Mapping[str, str]
+) -> str:
+    """Return a page: a title, a fit's status with its meaning, a row of numbers with their names,
+    and sections by their headings."""
+    name, meaning = html.escape(title), STATUSES[fit.status]
+    facts = "".join(f"<div><dt>{name}</dt><dd>{x}</dd></div>" for name, x in numbers.items())
     body = "".join(
         f'<section id="{heading.lower().replace(" ", "-")}"><h2>{heading}</h2>{text}</section>\n'
         for heading, text in sections.items()
@@ -56,23 +60,11 @@ def document(title: str, head: str, sections: Mapping[str, str]) -> str:
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{name}</title><style>{STYLE}</style></head><body>"
-        f"<header><h1>{name}</h1>{head}</header><main>{body}</main>"
+        f"<title>{name}</title><style>{STYLE}</style></head><body><header><h1>{name}</h1>"
+        f'<p class="status {fit.status}"><b>{fit.status}</b> {meaning[0].upper()}{meaning[1:]}.</p>'
+        f"<dl>{facts}</dl></header><main>{body}</main>"
         f"<footer>pinhole_jax {__version__}</footer></body></html>\n"
     )
-
-
-def status(fit: Fit | JointFit) -> str:
-    """Return a fit's status and its meaning."""
-    meaning = STATUSES[fit.status]
-    words = f"<b>{fit.status}</b> {meaning[0].upper()}{meaning[1:]}."
-    return f'<p class="status {fit.status}">{words}</p>'
-
-
-def facts(numbers: Mapping[str, str]) -> str:
-    """Return a row of numbers with their names."""
-    shown = "".join(f"<div><dt>{name}</dt><dd>{x}</dd></div>" for name, x in numbers.items())
-    return f"<dl>{shown}</dl>"
 
 
 def items(sentences: Iterable[str]) -> str:

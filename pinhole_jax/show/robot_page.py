@@ -9,7 +9,7 @@ from .. import JointFit, silhouette
 from ..formats import object_pose
 from ..io import as_coverage
 from .outline import disagreement, object_window, overlay
-from .page import as_html, document, facts, figure, items, status, table
+from .page import as_html, document, figure, items, table
 from .table import HEADS, parameters
 
 VIEW_WORDS = (
@@ -57,7 +57,7 @@ def robot_page(
     for heading, words in {"Halves of the postures": halves, "Other postures": proposed}.items():
         if words is not None:
             sections[heading] = f"<pre>{as_html(words)}</pre>"
-    return document("Camera of a robot", status(fit) + facts(numbers), sections)
+    return document("Camera of a robot", fit, numbers, sections)
 
 
 def _outlines(fit: JointFit, pictures: Sequence[np.ndarray], names: Sequence[str]) -> Iterator[str]:
