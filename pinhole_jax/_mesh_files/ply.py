@@ -1,7 +1,7 @@
 """Stanford PLY, text and binary: polygons and triangle strips."""
 
 import re
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -20,23 +20,12 @@ ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 CORNERS = ("vertex_indices", "vertex_index")
 
 
-#: A column: its name, its type, and if it holds lists the type of their lengths.
+#: A column: its name, its type, and if it holds lists the type of their lengths; and a table, as
+#: the header describes it: its name, its number of rows, and its columns.
 Column = tuple[str, np.dtype, np.dtype | None]
-
-
-class Table(NamedTuple):
-    """What the header says of a table: its name, its number of rows, and its columns."""
-
-    name: str
-    number: int
-    columns: list[Column]
-
-
-class Lists(NamedTuple):
-    """A column of lists: the `values` of all rows, and the length of each row's."""
-
-    values: np.ndarray
-    counts: np.ndarray
+Table = tuple[str, int, list[Column]]
+#: A column's contents: the values of all rows, and how many each row has.
+Lists = tuple[np.ndarray, np.ndarray]
 
 
 def read_ply(data: bytes) -> Polygons:
@@ -50,18 +39,18 @@ def read_ply(data: bytes) -> Polygons:
         body = parse_numbers(body, float, "the rows").tobytes()
 
     end, columns = 0, {}
-    for table in tables:
-        if table.name in columns:
-            raise ValueError(f"the element {table.name!r} twice in its header")
-        columns[table.name], end = _columns(table, body, end)
+    for name, number, kinds in tables:
+        if name in columns:
+            raise ValueError(f"the element {name!r} twice in its header")
+        columns[name], end = _columns(name, number, kinds, body, end)
     if end != len(body):
         raise ValueError(f"expected {end} bytes of rows as its header says, got {len(body)}")
 
     points = _points(columns.get("vertex", {}))
-    faces = _corners(columns.get("face"), "face")
+    corners, counts = _corners(columns.get("face"), "face")
     triangles = cut_strips(*_corners(columns.get("tristrips"), "tristrips"))
-    corners = np.concatenate([faces.values, triangles.ravel()])
-    return Polygons(points, corners, np.concatenate([faces.counts, np.full(len(triangles), 3)]))
+    counts = np.concatenate([counts, np.full(len(triangles), 3)])
+    return Polygons(points, np.concatenate([corners, triangles.ravel()]), counts)
 
 
 def _header(data: bytes) -> tuple[list[Table], str | None, bytes]:
@@ -80,11 +69,12 @@ def _header(data: bytes) -> tuple[list[Table], str | None, bytes]:
             case ["format", name, "1.0"] if name in ORDERS:
                 order = ORDERS[name]
             case ["element", name, number] if number.isdecimal() and len(number) < 19:
-                tables.append(Table(name, int(number), []))
+                columns: list[Column] = []
+                tables.append((name, int(number), columns))
             case ["property", "list", length, kind, name] if tables:
-                tables[-1].columns.append((name, _type(kind, order), _type(length, order)))
+                columns.append((name, _type(kind, order), _type(length, order)))
             case ["property", kind, name] if tables:
-                tables[-1].columns.append((name, _type(kind, order), None))
+                columns.append((name, _type(kind, order), None))
             case [] | ["comment" | "obj_info", *_]:
                 pass
             case _:
@@ -101,44 +91,45 @@ def _type(name: str, order: str | None) -> np.dtype:
     return np.dtype("f8" if order == "=" else order + TYPES[name])
 
 
-def _columns(table: Table, body: bytes, start: int) -> tuple[dict[str, Lists], int]:
+def _columns(
+    name: str, number: int, columns: list[Column], body: bytes, start: int
+) -> tuple[dict[str, Lists], int]:
     """Return the columns of a table that begins at byte `start`, and the byte at its end.
 
     Rows whose lists are as long as those of the current row are read at once: a run, looked for in
     twice as many rows as the one before had, so that many short ones take no longer.
     """
-    runs, left, run = [], table.number, table.number
-    while left and table.columns:
-        row = _row(table, body, start)
+    runs, left, run = [], number, number
+    while left and columns:
+        row = _row(name, columns, body, start)
         count = min(left, 2 * run, (len(body) - start) // row.itemsize)
         if count == 0:
-            raise _cut_short(table)
+            raise ValueError(f"it ends before the {number} rows of {name!r}")
         rows = np.frombuffer(body, row, count, start)
-        lists = [name for name, _, length in table.columns if length]
+        lists = [name for name, _, length in columns if length]
         differs = [rows[f"{name} length"] != row[name].shape for name in lists]
         run = int(np.argmax(np.append(np.any([np.zeros(count, bool), *differs], axis=0), True)))
         runs.append(rows[:run])
         left, start = left - run, start + run * row.itemsize
 
-    columns = {}
-    for name, *_ in table.columns:
+    found = {}
+    for name, *_ in columns:
         lists = [rows[name] for rows in runs] or [np.empty((0, 0))]
         counts = np.repeat([x.shape[1] for x in lists], [len(x) for x in lists])
-        columns[name] = Lists(np.concatenate([x.ravel() for x in lists]), counts)
-    return columns, start
+        found[name] = np.concatenate([x.ravel() for x in lists]), counts
+    return found, start
 
 
-def _row(table: Table, body: bytes, start: int) -> np.dtype:
+def _row(table: str, columns: list[Column], body: bytes, start: int) -> np.dtype:
     """Return the type of the row at a byte: lists are as long as they are there."""
     fields: list[Any] = []
-    for name, kind, length in table.columns:
+    for name, kind, length in columns:
         count = 1
         if length:
-            if start + length.itemsize > len(body):
-                raise _cut_short(table)
-            given = np.frombuffer(body, length, 1, start)[0]
+            # (What is behind the end is 0.)
+            given = np.frombuffer(body[start : start + 8].ljust(8, b"\0"), length, 1)[0]
             if not (given >= 0 and float(given).is_integer()):
-                raise ValueError(f"a list of {given} values in {table.name!r}")
+                raise ValueError(f"a list of {given} values in {table!r}")
             fields.append((f"{name} length", length))
             count, start = int(given), start + length.itemsize
         fields.append((name, kind, (count,)))
@@ -146,26 +137,22 @@ def _row(table: Table, body: bytes, start: int) -> np.dtype:
     return np.dtype(fields)
 
 
-def _cut_short(table: Table) -> ValueError:
-    return ValueError(f"it ends before the {table.number} rows of {table.name!r}")
-
-
 def _points(vertex: dict[str, Lists]) -> np.ndarray:
-    columns = [vertex[x].values for x in "xyz" if x in vertex and np.all(vertex[x].counts == 1)]
-    if len(columns) < 3:
+    numbers = {name: values for name, (values, counts) in vertex.items() if np.all(counts == 1)}
+    if not numbers.keys() >= {*"xyz"}:
         got = ", ".join(vertex) or "none"
         raise ValueError(f"expected vertices with one x, y and z each, got {got}")
-    return np.stack(columns, axis=-1).astype(float)
+    return np.stack([numbers[x] for x in "xyz"], axis=-1).astype(float)
 
 
 def _corners(table: dict[str, Lists] | None, name: str) -> Lists:
     """Return the lists of vertices of a table, none if there is no such table."""
     if table is None:
-        return Lists(np.empty(0, int), np.empty(0, int))
+        return np.empty(0, int), np.empty(0, int)
     found = [column for key, column in table.items() if key in CORNERS]
     if len(found) != 1:
         raise ValueError(
             f"expected {CORNERS[0]!r} in {name!r}, got {', '.join(table) or 'nothing'}"
         )
     values, counts = found[0]
-    return Lists(to_integers(values, CORNERS[0]), counts.astype(int))
+    return to_integers(values, CORNERS[0]), counts.astype(int)
