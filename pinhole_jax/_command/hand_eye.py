@@ -107,7 +107,7 @@ def _views(robot: Robot, options: argparse.Namespace, path: str, option: str) ->
                 words = f"expected a link among {', '.join(poses)}, got {link!r}"
                 raise ValueError(f"`in_hand`: {words}")
             scene, posture = robot.scene_at(poses), robot.posture(angles)
-            views.append(JointView(scene, None, mount=poses.get(link), posture=posture))
+            views.append(JointView(scene, None, mount=poses.get(link or ""), posture=posture))
     return views
 
 

@@ -43,11 +43,11 @@ class Fields:
         name = self.written.get(name, name)
         return ValueError(f"`{name}`: expected {expected}, got {words} (in {self.where})")
 
-    def get(self, name: str, expected: str) -> Any:
-        """Return a field's value as it is."""
-        if name not in self.data:
+    def get(self, name: str, expected: str, default: Any = None) -> Any:
+        """Return a field's value as it is, or the default."""
+        if name not in self.data and default is None:
             raise self.wrong(name, expected, "no such field")
-        return self.data[name]
+        return self.data.get(name, default)
 
     def number(
         self,
@@ -58,10 +58,8 @@ class Fields:
         most: float | int = np.inf,
     ) -> float:
         """Return a number between two others."""
-        if default is not None and name not in self.data:
-            return float(default)
-        value = float(self.array(name, (), expected=expected))
-        if not least < value < most:
+        value = float(self.array(name, (), expected=expected, default=default))
+        if value <= least or value >= most:  # (NaN stands for none)
             raise self.wrong(name, expected, f"{value:g}")
         return value
 
@@ -143,10 +141,8 @@ class Fields:
 
     def text(self, name: str, choices: Sequence[str] = (), default: str | None = None) -> str:
         """Return a string, one of `choices` if there are any."""
-        if default is not None and name not in self.data:
-            return default
         expected = f"one of {', '.join(choices)}" if choices else "a text"
-        value = self.get(name, expected)
+        value = self.get(name, expected, default)
         if not isinstance(value, str) or (choices and value not in choices):
             raise self.wrong(name, expected, short(value))
         return value
@@ -160,8 +156,7 @@ class Fields:
 
     def parts(self, name: str) -> list["Fields"]:
         """Return the objects of a list, each with its place in `where`."""
-        entries = enumerate(self.items(name))
-        return [Fields(part, f"{self.where}, {name}[{k}]") for k, part in entries]
+        return [Fields(x, f"{self.where}, {name}[{k}]") for k, x in enumerate(self.items(name))]
 
     def part(
         self, name: str, expected: str = "fields with names", only: Iterable[str] = ()

@@ -156,9 +156,11 @@ class Ticker:
     def _run(self) -> None:
         while not self._done.wait(RENEWED):
             line = f"{self.elapsed():4.0f} s  {self._text}{self.compiled_words()}"
-            if self._live and self.elapsed() > SHORT:
-                print(f"\r\x1b[K{line}", end="", file=sys.stderr, flush=True)
-            elif not self._live and time.perf_counter() - self._told >= OFTEN:
+            self._overwrite(line)
+            if not self._live and time.perf_counter() - self._told >= OFTEN:
                 self.tell(line)
+        self._overwrite("")
+
+    def _overwrite(self, line: str) -> None:
         if self._live and self.elapsed() > SHORT:
-            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+            print(f"\r\x1b[K{line}", end="", file=sys.stderr, flush=True)

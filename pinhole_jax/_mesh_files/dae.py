@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from .polygons import Polygons, merge
+from .polygons import NOTHING, Polygons, merge
 
 #: What makes no shape and may be broken, and shapes that are not read.
 NO_SHAPE = ("animations", "cameras", "effects", "images", "lights", "materials")
@@ -80,9 +80,9 @@ def _polygons(primitive: Any) -> Polygons:
     """Return the polygons of one element; lines have none."""
     from collada.lineset import LineSet
 
-    corners, none = primitive.vertex_index, np.empty(0, int)
+    corners = primitive.vertex_index
     if corners is None or isinstance(primitive, LineSet):
-        return Polygons(np.empty((0, 3)), none, none)
+        return NOTHING
     counts = getattr(primitive, "vcounts", np.full(len(corners), 3))
     if np.sum(counts) != corners.size:
         raise ValueError("expected as many indices as polygons have corners")

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from .numbers import parse_numbers, strip_mark, to_integers
-from .polygons import Polygons, cut_strips
+from .polygons import NOTHING, Polygons, cut_strips
 
 #: What the header calls a type, and NumPy.
 TYPES = {
@@ -63,13 +63,13 @@ def _header(data: bytes) -> tuple[list[Table], str | None, bytes]:
     if not found:
         raise ValueError("no end of its header")
 
-    order, tables = None, []
+    order, tables, columns = None, [], []
     for line in data[end.end() : found.start()].decode("latin-1").splitlines():
         match line.split():
             case ["format", name, "1.0"] if name in ORDERS:
                 order = ORDERS[name]
             case ["element", name, number] if number.isdecimal() and len(number) < 19:
-                columns: list[Column] = []
+                columns = []
                 tables.append((name, int(number), columns))
             case ["property", "list", length, kind, name] if tables:
                 columns.append((name, _type(kind, order), _type(length, order)))
@@ -148,7 +148,7 @@ def _points(vertex: dict[str, Lists]) -> np.ndarray:
 def _corners(table: dict[str, Lists] | None, name: str) -> Lists:
     """Return the lists of vertices of a table, none if there is no such table."""
     if table is None:
-        return np.empty(0, int), np.empty(0, int)
+        return NOTHING[1:]
     found = [column for key, column in table.items() if key in CORNERS]
     if len(found) != 1:
         raise ValueError(

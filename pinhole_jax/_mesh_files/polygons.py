@@ -34,6 +34,9 @@ class Polygons(NamedTuple):
     counts: Int[np.ndarray, "F"]
 
 
+NOTHING = Polygons(np.empty((0, 3)), np.empty(0, int), np.empty(0, int))
+
+
 def check_corners(polygons: Polygons) -> Polygons:
     """Return the polygons, or raise ValueError for corners that are no points, or not finite."""
     points, corners, _ = polygons
@@ -50,8 +53,7 @@ def merge(parts: Iterable[tuple[Polygons, np.ndarray]]) -> Polygons:
 
     Raises ValueError for corners that a part does not have, and for more than `MOST_CORNERS`.
     """
-    none, start, total = np.empty(0, int), 0, 0
-    moved = [Polygons(np.empty((0, 3)), none, none)]
+    moved, start, total = [NOTHING], 0, 0
     for part, place in parts:
         points, corners, counts = check_corners(part)
         total += len(points) + len(corners)
@@ -108,8 +110,8 @@ def cut_strips(corners: Int[np.ndarray, "K"], counts: Int[np.ndarray, "S"]) -> n
     from trimesh.util import triangle_strips_to_faces
 
     ends = np.union1d(np.cumsum(counts), np.flatnonzero(corners == -1))
-    strips = [strip[strip != -1] for strip in np.split(corners, ends)]
-    strips = [strip for strip in strips if len(strip) >= 3]
+    parts = (part[part != -1] for part in np.split(corners, ends))
+    strips = [part for part in parts if len(part) >= 3]
     return triangle_strips_to_faces(strips) if strips else np.empty((0, 3), int)
 
 

@@ -109,8 +109,8 @@ def overlay(
     _check_size("image", image, camera)
     left, top, right, bottom = window or (0, 0, camera.W, camera.H)
     W, H = right - left, bottom - top
-    factor = -(-SHOWN_PX // max(W, H))
-    fine = 2 * factor  # lines are drawn at twice the size and averaged down: no jagged edges
+    # Lines are drawn at twice the size and averaged down: no jagged edges.
+    fine = 2 * -(-SHOWN_PX // max(W, H))
     shown = lambda film: (from_top(camera, film) - [left, top]) * fine
     canvas = Image.fromarray(np.ascontiguousarray(image)).convert("RGB")
     canvas = canvas.resize((W * fine, H * fine), Image.Resampling.NEAREST, window)
@@ -123,8 +123,8 @@ def overlay(
         for segment in corners[near].reshape(-1, 4).tolist():
             draw.line(segment, fill=line, width=width)
     for dot in () if dots is None else shown(dots):
-        draw.circle(dot.tolist(), factor, RED)
-    return np.asarray(canvas.resize((W * factor, H * factor), Image.Resampling.BOX))
+        draw.circle(dot.tolist(), fine / 2, RED)
+    return np.asarray(canvas.reduce(2))
 
 
 def _draw_band(canvas: Any, segments: np.ndarray, half: np.ndarray) -> None:

@@ -1,6 +1,6 @@
 """One HTML page about the camera that sees a robot: `pinhole-jax hand-eye --report`."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -44,27 +44,21 @@ def robot_page(
         "disagreement": f"{fit.excess:.1f} x mask errors",
     }
     pose = object_pose(camera, pixel_centres=pixel_centres)
+    outlines, views = _views(fit, masks, pictures, names)
     well = "<p>Every parameter is well determined, and the views agree.</p>"
     sections = {
-        "Outlines": "".join(_outlines(fit, pictures, names)),
+        "Outlines": outlines,
         f"The camera in the frame of {as_html(frame)}": parameters(camera, "Fitted parameters")
         + _zeros(fit)
         + "<p>A 95 % interval is 1.96 sigma to either side.</p>",
         "What the masks leave open": items([*fit.notes, *camera.weak]) or well,
-        "Postures": _views(fit, masks, names),
+        "Postures": views,
         "K, R and t": f"<pre>{as_html(str(pose))}</pre>",
     }
     for heading, words in {"Halves of the postures": halves, "Other postures": proposed}.items():
         if words is not None:
             sections[heading] = f"<pre>{as_html(words)}</pre>"
     return document("Camera of a robot", fit, numbers, sections)
-
-
-def _outlines(fit: JointFit, pictures: Sequence[np.ndarray], names: Sequence[str]) -> Iterator[str]:
-    for k, (view, picture, name) in enumerate(zip(fit.views, pictures, names, strict=True)):
-        window = object_window(view.camera, view.scene)
-        drawn = overlay(picture, view.camera, view.scene, window=window)
-        yield figure(drawn, f"View {k}, {name}: the recovered outline, IoU {view.iou:.4f}.")
 
 
 def _zeros(fit: JointFit) -> str:
@@ -75,16 +69,25 @@ def _zeros(fit: JointFit) -> str:
     return table(heads, rows, "Zeros of the joints")
 
 
-def _views(fit: JointFit, masks: Sequence[np.ndarray], names: Sequence[str]) -> str:
-    rows, notes = [], []
+def _views(
+    fit: JointFit,
+    masks: Sequence[np.ndarray],
+    pictures: Sequence[np.ndarray],
+    names: Sequence[str],
+) -> tuple[str, str]:
+    """Return the views' outlines, and a table of them."""
+    outlines, rows, notes = "", [], []
     for k, (view, mask, name) in enumerate(zip(fit.views, masks, names, strict=True)):
+        seen = view.camera, view.scene
+        drawn = overlay(pictures[k], *seen, window=object_window(*seen))
+        outlines += figure(drawn, f"View {k}, {name}: the recovered outline, IoU {view.iou:.4f}.")
         there = as_coverage(mask)
-        difference = there - np.asarray(silhouette(view.camera, view.scene), float)
+        difference = there - np.asarray(silhouette(*seen), float)
         whole = max(float(there.sum()), 1.0)
         less, more = (float(part.clip(0).sum()) / whole for part in (difference, -difference))
         cells = (view.iou, ".4f"), (view.sigma, ".1f"), (view.weight, ".2f"), (view.worth, ".2f")
         shares = f"{less:.1%}", f"{more:.1%}"
         rows.append([f"{k} {name}", *(f"{x:{digits}}" for x, digits in cells), *shares])
-        notes += [f"view {k}: {x}" for x in disagreement(view.camera, view.scene, mask)]
+        notes += [f"view {k}: {words}" for words in disagreement(*seen, mask)]
     heads = ("view", "IoU", "sigma off", "weight", "worth", "mask only", "robot only")
-    return table(heads, rows, "Each mask", "views") + VIEW_WORDS + items(notes)
+    return outlines, table(heads, rows, "Each mask", "views") + VIEW_WORDS + items(notes)

@@ -75,7 +75,7 @@ def scene_view(camera: Camera, scene: Scene, size: int = 800) -> np.ndarray:
     for wire in wires:
         draw.line(flat(wire), (*LINE, 230), 4)
     draw.circle(flat(eye), 9, LINE)
-    return np.asarray(canvas.resize((size, high // 2), Image.Resampling.BOX))
+    return np.asarray(canvas.reduce(2))
 
 
 def _lit(scene: Scene, viewer: Camera) -> np.ndarray:
