@@ -327,7 +327,7 @@ REFUSED = {
     "`offset`: expected a finite number, got 'x' .in joint 'j2', <mimic>": second(
         mimic("j1", 'offset="x"')
     ),
-    "two of joint 'j1'": chain(FREE, joint("j1", "b", "c"), SHUT),
+    "the joint 'j1' twice": chain(FREE, joint("j1", "b", "c"), SHUT),
     "joint 'j2': no link 'e'": chain(FREE, joint("j2", "b", "e"), SHUT),
     "no joint's child, got a, c: join them": chain(FREE, SHUT),
     "joint 'j4': link 'd' has a joint to 'c'": second() + joint("j4", "a", "d"),
@@ -355,7 +355,7 @@ REFUSED = {
     "`size`: expected positive numbers, got .1.0, -1.0, 1.0. .in link 'l', <box>": link(
         "l", '<box size="1 -1 1"/>'
     ),
-    "two of link 'l'": 2 * link("l", BOX),
+    "the link 'l' twice": 2 * link("l", BOX),
     "link 'b' is in <group>.* run `xacro .*move what is": f"<group>{link('b', BOX)}</group>",
     **{
         f"not expanded, {part}.*: run `xacro robot.urdf.xacro > robot.urdf`": body

@@ -208,12 +208,12 @@ def _name(path: Any) -> str:
     return words if len(words) < 300 else words[:99] + "..."
 
 
-def as_fields(pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+def as_fields(pairs: Iterable[tuple[str, Any]], kind: str = "field") -> dict[str, Any]:
     """Return named values as a dict, or raise ValueError where a name comes again."""
     fields: dict[str, Any] = {}
     for name, value in pairs:
         if name in fields:
-            raise ValueError(f"the field {name[:60]!r} twice")
+            raise ValueError(f"the {kind} {name[:60]!r} twice")
         fields[name] = value
     return fields
 

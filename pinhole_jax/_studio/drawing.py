@@ -47,10 +47,10 @@ def band_of(fit: Fit, scene: Scene) -> dict[str, Any]:
     A half width is the motion of its line at one standard error.
     """
     sigma = outline_sigma(fit, scene)
-    shown = sigma[np.isfinite(sigma) & (sigma > 0)]
+    shown = sigma[sigma > 0]
     return {
         "lines": outline_lines(fit.camera, scene),
-        "half_px": np.nan_to_num(sigma).clip(0, 1e4).round(3),
+        "half_px": sigma.clip(0, 1e4).round(3),
         "median_px": float(np.median(shown)) if shown.size else 0.0,
     }
 

@@ -55,19 +55,14 @@ def frame_object(camera: Camera, extent: Extent, up: str = "y") -> Camera:
     upwards, ahead = UPRIGHT[up], -UPRIGHT["y"] if up == "z" else UPRIGHT["z"]
     right = np.cross(upwards, ahead)
     look = np.stack([right, upwards, ahead], axis=1) @ FIRST_LOOK
-    eye = extent.centre + _distance(camera, extent) * look / np.linalg.norm(look)
+    half = np.arctan(ROOM * min(camera.W, camera.H) / 2 / focal_px(camera)[1])
+    eye = extent.centre + extent.radius / np.sin(half) * look / np.linalg.norm(look)
     return camera.replace(e=eye, p=extent.centre, u=upwards)
 
 
 def upright(camera: Camera) -> str | None:
     """Return the axis x, y or z that `frame_object` put upwards, None after turns."""
     return next((axis for axis, up in UPRIGHT.items() if np.array_equal(camera.u, up)), None)
-
-
-def _distance(camera: Camera, extent: Extent) -> float:
-    """Return the distance at which an extent takes its share of the picture."""
-    half = np.arctan(ROOM * min(camera.W, camera.H) / 2 / focal_px(camera)[1])
-    return float(extent.radius / np.sin(half))
 
 
 def moved(

@@ -99,8 +99,8 @@ def _with_defaults(fields: dict[str, Any], record: Record) -> Record:
 def _models(place: Path, models: FilePath | None) -> Path:
     above = place.resolve().parents[:2]
     places = [Path(models)] if models else [folder / name for folder in above for name in MODELS]
-    if existing := [folder for folder in places if folder.is_dir()]:
-        return existing[0]
+    for folder in filter(Path.is_dir, places):
+        return folder
     words = f"got {str(models)!r}" if models else f"as there is no {' or '.join(MODELS)} beside it"
     raise ValueError(f"`models`: expected the folder of the models of {str(place)!r}, {words}")
 

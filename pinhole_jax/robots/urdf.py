@@ -1,7 +1,6 @@
 """A URDF's links, the joints between them and the shapes that are seen, from its XML."""
 
 import xml.etree.ElementTree as ET
-from collections import Counter
 from collections.abc import Collection, Mapping
 from graphlib import CycleError, TopologicalSorter
 from typing import NamedTuple
@@ -11,6 +10,7 @@ from jaxtyping import Float
 
 from .._camera.poses import Pose, rigid
 from .._files.fields import Fields, attributes
+from .._files.paths import as_fields
 
 SHAPES = ("box", "cylinder", "mesh", "sphere")
 #: Elements that xacro once had without a prefix, and those that describe no link or joint anew.
@@ -100,12 +100,8 @@ def _fields(element: ET.Element, where: str, tag: str = ".") -> Fields:
 
 def _named(root: ET.Element, kind: str) -> dict[str, ET.Element]:
     """Return the links or joints by name."""
-    elements = root.findall(kind)
-    names = [_fields(element, "<robot>").text("name") for element in elements]
-    for name, count in Counter(names).items():
-        if count > 1:
-            raise ValueError(f"two of {kind} {name!r}")
-    return dict(zip(names, elements, strict=True))
+    named = ((_fields(x, "<robot>").text("name"), x) for x in root.findall(kind))
+    return as_fields(named, kind)
 
 
 def _origin(element: ET.Element, where: str) -> Pose:

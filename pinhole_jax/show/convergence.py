@@ -31,7 +31,7 @@ def off_px(fit: Fit, scene: Scene) -> list[float]:
         return [float("nan")] * len(fit.history)
     last = places_of(fit.camera, points)
     moves = (places_of(stop.camera, points) - last for stop in fit.history)
-    return [float(np.sqrt(np.mean(np.sum(m**2, axis=1)))) for m in moves]
+    return [float(np.linalg.norm(move)) / len(points) ** 0.5 for move in moves]
 
 
 def levels(fit: Fit) -> list[tuple[Progress, int, int]]:

@@ -92,11 +92,11 @@ def frustum(camera: Camera, way: Iterable[Camera] = (), others: Sequence[Camera]
     It shows the frustum up to the view point, as `scene_view` does, and the world's axes there. The
     eyes of `way`, earlier cameras of a fit, are a dotted line; those of `others` rings.
     """
-    eye, middle = np.asarray(camera.e, float), np.asarray(camera.p, float)
+    eyes = lambda cameras: [np.asarray(c.e, float) for c in cameras]
+    steps, rings, middle = eyes([*way, camera]), eyes(others), np.asarray(camera.p, float)
+    eye = steps[-1]
     border, tick, *_ = wires = _wires(camera, float(np.linalg.norm(middle - eye)))
     world = middle + np.linalg.norm(tick[1] - middle) / 2 * np.eye(3)
-    eyes = lambda cameras: [np.asarray(c.e, float) for c in cameras]
-    steps, rings = [*eyes(way), eye], eyes(others)
     spread = np.concatenate([*wires, world, [*steps, *rings, middle]])
     if not np.all(np.isfinite(spread)):
         return Svg()

@@ -1,6 +1,5 @@
 """Where a camera's error shows: over the film (px), on the outline, and at the object."""
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -78,17 +77,15 @@ def trust(fit: Fit, scene: Scene) -> Trust:
     places = np.stack([column + 0.5, row + 0.5], axis=1) * [camera.W / columns, camera.H / rows]
     on_plane = points_at(camera, places, depth)
     shown = lambda c: places_of(c, on_plane)
-    film, spread = (_worst(fit, value, depth) for value in (shown, before))
+    # One sigma of each value (n, k), in the direction where it is largest.
+    film, spread = (
+        np.linalg.norm(sigma_moves(fit, value, abs(depth)), ord=2, axis=(0, 2))
+        for value in (shown, before)
+    )
     farthest = int(np.argmax(spread))
     across = outline_sigma(fit, scene)
     picture = _picture(camera, film.reshape(rows, columns), outline(camera, scene))
     return Trust(places, film, across, float(spread[farthest]), points[farthest], picture)
-
-
-def _worst(fit: Fit, value: Callable[[Camera], np.ndarray], depth: float) -> np.ndarray:
-    """One sigma (n,) of a camera's values (n, k), in the direction where it is largest."""
-    each = np.moveaxis(sigma_moves(fit, value, abs(depth)), 0, -1)
-    return np.linalg.norm(each, ord=2, axis=(1, 2))
 
 
 def _bands(sigma: np.ndarray) -> np.ndarray:
