@@ -115,7 +115,8 @@ class SplitCheck(NamedTuple):
     @property
     def statuses(self) -> tuple[str, ...]:
         """The halves' statuses; of separate cameras all of them."""
-        return tuple(status for half in self.halves for status in _statuses(half))
+        views = ([half] if isinstance(half, Result) else half for half in self.halves)
+        return tuple(view.status for each in views for view in each)
 
     @property
     def is_conclusive(self) -> bool:
@@ -208,10 +209,6 @@ def outline_halves(
     ends = np.quantile(around[edge], np.arange(1, blocks) / blocks)
     odd = np.searchsorted(ends, around) % 2 == 1
     return np.where(odd, weights, 0.0), np.where(odd, 0.0, weights)
-
-
-def _statuses(fit: AnyFit) -> Sequence[str]:
-    return [fit.status] if isinstance(fit, Result) else [view.status for view in fit]
 
 
 def _rivals(fit: AnyFit) -> Sequence[AnyFit]:

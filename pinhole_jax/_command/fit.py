@@ -1,13 +1,11 @@
 """`pinhole-jax fit`: the camera of a mask."""
 
 import argparse
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import pinhole_jax as pj
 
-from .. import Fit, formats, report
+from .. import formats, report
 from .._files.progress import Ticker
 from ..batch.inputs import read_inputs
 from ..plot import disagreement, overlay
@@ -32,19 +30,14 @@ def run(options: argparse.Namespace, progress: Ticker) -> int:
     drawing = overlay(picture, fit.camera, scene)
     notes = () if fit.status == "non_finite" else disagreement(fit.camera, scene, mask)
     progress.done()
-    _print(fit, notes, progress, centres)
-    title = f"Camera of {Path(options.mesh).name} from {Path(options.mask).name}"
-    page = lambda: report.page(fit, scene, mask, picture, title, pixel_centres=centres)
-    write_results(options, fit, {"overlay.png": drawing}, page)
-    return 0 if fit.status == "converged" else 1
-
-
-def _print(fit: Fit, notes: Sequence[str], progress: Ticker, pixel_centres: Any) -> None:
     print(fit)
     for note in notes:
         print(f"note       {note}")
     if fit.status != "non_finite":
-        print(formats.object_pose(fit, pixel_centres=pixel_centres))
+        print(formats.object_pose(fit, pixel_centres=centres))
     compiling = progress.compiling()
-    running = progress.elapsed() - compiling
-    print(f"time       {compiling:.1f} s compile, {running:.1f} s run")
+    print(f"time       {compiling:.1f} s compile, {progress.elapsed() - compiling:.1f} s run")
+    title = f"Camera of {Path(options.mesh).name} from {Path(options.mask).name}"
+    page = lambda: report.page(fit, scene, mask, picture, title, pixel_centres=centres)
+    write_results(options, fit, {"overlay.png": drawing}, page)
+    return 0 if fit.status == "converged" else 1

@@ -122,7 +122,11 @@ def guess_mask(photo: np.ndarray, guides: Sequence[Stroke]) -> np.ndarray | None
 def _object(photo: np.ndarray, seeds: np.ndarray) -> np.ndarray:
     """Return the object's pixels (H, W): those of a picture half as large, guessed anew near their
     edge. Seeds are 1 on the object, 2 on the background."""
+    import warnings
+
     from PIL import Image
+    from skimage.color import rgb2lab
+    from skimage.segmentation import random_walker
 
     H, W = seeds.shape
     labels = seeds.astype(np.int32)
@@ -139,7 +143,10 @@ def _object(photo: np.ndarray, seeds: np.ndarray) -> np.ndarray:
             labels[(_depth(part) > EDGE_PX) & (labels == 0)] = label
     if len(np.unique(labels)) < 3:  # nothing is left to guess, or to guess from
         return labels == 1
-    return _random_walker(photo, labels) == 1
+    lab = rgb2lab(photo) / 100
+    with warnings.catch_warnings(action="ignore"):  # about pyamg and rounding
+        found = random_walker(lab, labels, beta=CONTRAST, mode="cg_j", tol=1e-3, channel_axis=-1)
+    return found == 1
 
 
 def _depth(part: np.ndarray) -> np.ndarray:
@@ -148,19 +155,6 @@ def _depth(part: np.ndarray) -> np.ndarray:
 
     depth: Any = ndimage.distance_transform_edt(part)
     return depth
-
-
-def _random_walker(photo: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """Labels (H, W): each pixel that has none (0) gets that of the most similar stroke."""
-    import warnings
-
-    from skimage.color import rgb2lab
-    from skimage.segmentation import random_walker
-
-    with warnings.catch_warnings(action="ignore"):  # about pyamg and rounding
-        return random_walker(
-            rgb2lab(photo) / 100, labels, beta=CONTRAST, mode="cg_j", tol=1e-3, channel_axis=-1
-        )
 
 
 @lru_cache(2)
