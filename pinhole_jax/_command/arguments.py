@@ -321,12 +321,6 @@ ALIASES = {
 }
 
 
-def _version() -> str:
-    """Return the version, and the way that silhouettes are drawn on a CPU."""
-    native = library_path() is not None and not is_switched_off()
-    return f"pinhole-jax {__version__} ({'compiled library' if native else 'arrays'} on CPUs)"
-
-
 def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     """Return the options of a command line (None: this process's).
 
@@ -338,7 +332,9 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
         description="A differentiable pinhole camera: recover it from a mask, or render a mask.",
         epilog="`pinhole-jax COMMAND --help` has each command's options, and an example.",
     )
-    parser.add_argument("--version", action="version", version=_version())
+    native = library_path() is not None and not is_switched_off()
+    version = f"pinhole-jax {__version__} ({'compiled library' if native else 'arrays'} on CPUs)"
+    parser.add_argument("--version", action="version", version=version)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, verb in VERBS.items():
         _add(commands, name, verb)

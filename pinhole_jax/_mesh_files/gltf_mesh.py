@@ -108,7 +108,13 @@ def _data(buffer: Fields, binary: bytes, file: Path) -> memoryview:
     if uri.startswith("data:"):
         binary = base64.b64decode(uri.partition(",")[2])
     elif uri:
-        binary = _resource(file, uri, buffer)
+        folder, found = file.parent.resolve(), None
+        with suppress(OSError, RuntimeError, ValueError):  # no name of a file, a circle of links
+            if (path := (folder / unquote(uri)).resolve()).is_relative_to(folder):
+                found = read_bytes(path, "a buffer", MOST_BYTES)
+        if found is None:
+            raise buffer.wrong("uri", "a file in the mesh's folder", uri[:80])
+        binary = found
     return memoryview(binary)[: buffer.integer("byteLength")]
 
 
@@ -120,12 +126,3 @@ def _readable(part: Fields) -> Fields:
     if "weights" in part and np.any(part.array("weights", (-1,))):
         raise part.wrong("weights", "zeros: morph targets are not read", "others")
     return part
-
-
-def _resource(file: Path, uri: str, buffer: Fields) -> bytes:
-    """Return the bytes of a file that a mesh file names, from its folder or below."""
-    folder = file.parent.resolve()
-    with suppress(OSError, RuntimeError, ValueError):  # no name of a file, a circle of links
-        if (path := (folder / unquote(uri)).resolve()).is_relative_to(folder):
-            return read_bytes(path, "a buffer", MOST_BYTES)
-    raise buffer.wrong("uri", "a file in the mesh's folder", uri[:80])

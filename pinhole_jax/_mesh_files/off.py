@@ -40,11 +40,8 @@ def read_off(data: bytes) -> Polygons:
             f" {len(lines) - 1} lines"
         )
     points = parse_points(lines[1 : 1 + vertices])
-    return _faces(points, lines[1 + vertices : 1 + vertices + faces])
-
-
-def _faces(points: np.ndarray, lines: list[bytes]) -> Polygons:
-    """Return polygons of lines: a number of corners, as many vertices, then perhaps a colour."""
+    # A face's line is a number of corners, as many vertices, then perhaps a colour.
+    lines = lines[1 + vertices : 1 + vertices + faces]
     words = word_counts(lines)
     numbers = parse_numbers(b"\n".join(lines), float, "faces", int(np.sum(words)))
     starts = np.cumsum(words) - words

@@ -27,20 +27,15 @@ def read_stl(data: bytes) -> Polygons:
     if len(data) == 84 + count * FACET.itemsize:
         points = np.frombuffer(data, FACET, count, 84)["corners"].astype(float)
     else:
-        points = parse_numbers(b"\n".join(_vertices(data, count)), float, "vertices")
+        data = strip_mark(data) if data[:2] != b"\0\0" else data
+        data = NAME.sub(rb"\1", data.replace(b"\r", b"\n"))
+        words = b" ".join(WORD.findall(data)).lower()
+        if not words.startswith(b"solid"):
+            raise ValueError(f"{len(data)} bytes for {count} faces, and no text either")
+        if not words.endswith(b"endsolid"):
+            raise ValueError("text without its end, `endsolid`")
+        if WHOLE.sub(b"", words):
+            raise ValueError("expected facets of three corners, of three coordinates, got others")
+        points = parse_numbers(b"\n".join(VERTEX.findall(data)), float, "vertices")
     corners = np.arange(points.size // 3)
     return Polygons(points.reshape(-1, 3), corners, np.full(len(corners) // 3, 3))
-
-
-def _vertices(data: bytes, count: int) -> list[bytes]:
-    """Return the three words of each corner."""
-    data = strip_mark(data) if data[:2] != b"\0\0" else data
-    data = NAME.sub(rb"\1", data.replace(b"\r", b"\n"))
-    words = b" ".join(WORD.findall(data)).lower()
-    if not words.startswith(b"solid"):
-        raise ValueError(f"{len(data)} bytes for {count} faces, and no text either")
-    if not words.endswith(b"endsolid"):
-        raise ValueError("text without its end, `endsolid`")
-    if WHOLE.sub(b"", words):
-        raise ValueError("expected facets of three corners, of three coordinates, got others")
-    return VERTEX.findall(data)

@@ -123,7 +123,11 @@ def read_start(record: Record, size: Size) -> Start:
     left, top, W, H = window = _window(record, size)
     picture = math.ceil(max(left, 0)) + W, math.ceil(max(top, 0)) + H
     if ways == ["camera"]:
-        camera = _file_camera(record, picture)
+        with named(path="camera", size="resize"):
+            try:
+                camera = pj.formats.read_one(record["camera"])
+            except ValueError:  # perhaps as the file does not tell its size
+                camera = pj.formats.read_one(record["camera"], size=picture)
     elif ways == ["K"]:
         camera = _K_camera(record, picture)
         if "crop" not in record:
@@ -165,14 +169,6 @@ def _window(record: Record, size: Size) -> tuple[float, float, int, int]:
             f" {h:g}; if the mask was resized after that, add `resize` {w:g} {h:g}"
         )
     return left, top, int(w), int(h)
-
-
-def _file_camera(record: Record, size: Size) -> pj.Camera:
-    """Return a file's camera; of this size where the file does not say."""
-    with named(path="camera", size="resize"):
-        with contextlib.suppress(ValueError):
-            return pj.formats.read_one(record["camera"])
-        return pj.formats.read_one(record["camera"], size=size)
 
 
 def _K_camera(record: Record, size: Size) -> pj.Camera:

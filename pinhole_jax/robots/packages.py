@@ -31,22 +31,17 @@ def mesh_path(name: str, urdf: Path, packages: Folders) -> Path:
     Raises ValueError for other kinds of URI, FileNotFoundError for packages and files in them.
     """
     kind, _, rest = name.replace("\\", "/").rpartition("://")
-    if kind in ("package", "model"):
-        package, _, rest = rest.partition("/")
-        return _in_package(package, rest, urdf, packages)
-    if kind not in ("", "file"):
-        raise ValueError(f"expected a path, file:// or package://, got {name!r}")
-    return urdf.parent / (unquote(rest) if kind else rest)
-
-
-def _in_package(package: str, rest: str, urdf: Path, packages: Folders) -> Path:
-    """Return a package's file. A folder of the right name that lacks it may be part of another
-    package (of Python's, say), so the next one is tried."""
-    given = [Path(packages[package])] if package in packages else _folders(package, urdf)
+    if kind not in ("package", "model"):
+        if kind not in ("", "file"):
+            raise ValueError(f"expected a path, file:// or package://, got {name!r}")
+        return urdf.parent / (unquote(rest) if kind else rest)
+    package, _, rest = rest.partition("/")
     tried = []
-    for folder in given:
-        if (folder / rest).is_file():
-            return folder / rest
+    # A folder of the right name that lacks the file may be part of another package (of Python's,
+    # say), so the next one is tried.
+    for folder in [packages[package]] if package in packages else _folders(package, urdf):
+        if (file := Path(folder, rest)).is_file():
+            return file
         tried.append(str(folder))
     where = ", ".join(tried) or f"no such package above or beside {str(urdf.parent)!r}"
     raise FileNotFoundError(

@@ -70,20 +70,16 @@ def scene_view(camera: Camera, scene: Scene, size: int = 800) -> np.ndarray:
     draw = ImageDraw.Draw(canvas, "RGBA")
     flat = lambda points: places_of(viewer, points).ravel().tolist()
     draw.polygon(flat(border), FILM)
-    lit = Image.fromarray(_lit(scene, viewer.replace(W=size, H=high // 2))).resize(canvas.size)
+    normal = np.asarray(normals(viewer.replace(W=size, H=high // 2), scene), float)
+    light = np.abs(normal @ axes_of(viewer)[2])[..., None]
+    there = 255 * np.any(normal, axis=-1, keepdims=True)
+    shaded = np.concatenate([(0.35 + 0.65 * light) * FACE, there], axis=-1)
+    lit = Image.fromarray(shaded.astype(np.uint8)).resize(canvas.size)
     canvas.paste(lit, mask=lit)
     for wire in wires:
         draw.line(flat(wire), (*LINE, 230), 4)
     draw.circle(flat(eye), 9, LINE)
     return np.asarray(canvas.reduce(2))
-
-
-def _lit(scene: Scene, viewer: Camera) -> np.ndarray:
-    """Return a picture (RGBA) of an object as a viewer sees it."""
-    normal = np.asarray(normals(viewer, scene), float)
-    light = np.abs(normal @ axes_of(viewer)[2])[..., None]
-    there = 255 * np.any(normal, axis=-1, keepdims=True)
-    return np.concatenate([(0.35 + 0.65 * light) * FACE, there], axis=-1).astype(np.uint8)
 
 
 def frustum(camera: Camera, way: Iterable[Camera] = (), others: Sequence[Camera] = ()) -> Svg:

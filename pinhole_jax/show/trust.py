@@ -88,18 +88,14 @@ def trust(fit: Fit, scene: Scene) -> Trust:
     return Trust(places, film, across, float(spread[farthest]), points[farthest], picture)
 
 
-def _bands(sigma: np.ndarray) -> np.ndarray:
-    """The upper ends of bands (px), at most as many as there are colours."""
-    ends = np.outer(10.0 ** np.arange(-9, 12), STEPS).ravel()
-    least = max(float(sigma.min()), float(sigma.max()) * 1e-3, 1e-9)
-    first, last = np.searchsorted(ends, least, "right"), np.searchsorted(ends, sigma.max())
-    return ends[max(first, last + 1 - len(COLOURS)) : max(first, last) + 1]
-
-
 def _picture(camera: Camera, sigma: np.ndarray, lines: np.ndarray) -> Svg:
     """The film in bands, the outline upon it, and a legend."""
     rows, columns = sigma.shape
-    scale, ends = WIDTH / camera.W, _bands(sigma)
+    ends = np.outer(10.0 ** np.arange(-9, 12), STEPS).ravel()  # of the bands, px
+    least = max(float(sigma.min()), float(sigma.max()) * 1e-3, 1e-9)
+    first, last = np.searchsorted(ends, least, "right"), np.searchsorted(ends, sigma.max())
+    ends = ends[max(first, last + 1 - len(COLOURS)) : max(first, last) + 1]
+    scale = WIDTH / camera.W
     side, height = WIDTH / columns, camera.H * scale
     high = height / rows
     band = np.minimum(np.searchsorted(ends, sigma), len(ends) - 1)
