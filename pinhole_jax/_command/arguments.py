@@ -80,19 +80,14 @@ def _join_values(arguments: Sequence[str]) -> list[str]:
     """
     option, result = "", []
     for word in arguments:
-        if _belongs(option, word):
+        is_number = option in ("--K", "--dist") and NUMBERS.fullmatch(word)
+        is_name = option == "--free" and {*word.split(",")} <= {*FREE, "focal", ""}
+        if is_number or is_name:
             result[-1] += f"{',' if '=' in result[-1] else '='}{word.strip(',')}"
         else:
             option = word
             result.append(word)
     return result
-
-
-def _belongs(option: str, word: str) -> bool:
-    """Return True for a word that continues the numbers, or the names, of an option."""
-    if option in ("--K", "--dist"):
-        return bool(NUMBERS.fullmatch(word))
-    return option == "--free" and {*word.split(",")} <= {*FREE, "focal", ""}
 
 
 class Verb(NamedTuple):
@@ -341,9 +336,10 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     words = _join_values(sys.argv[1:] if arguments is None else arguments)
     options, unknown = parser.parse_known_args(words)
     if unknown:
-        options.own.error(
-            f"unrecognized arguments: {' '.join(unknown)}{_suggestion(options, unknown)}"
-        )
+        known = options.names.values()
+        near = [name for word in unknown for name in get_close_matches(word, known, 1)]
+        hint = f" (did you mean {near[0]}?)" if near else ""
+        options.own.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
     return options
 
 
@@ -381,13 +377,6 @@ def _names(actions: Sequence[argparse.Action]) -> dict[str, str]:
         for action in actions
         for name in (action.dest, *ALIASES.get(action.dest, "").split())
     }
-
-
-def _suggestion(options: argparse.Namespace, unknown: Sequence[str]) -> str:
-    """Return a question about the option that an unknown one looks like."""
-    known = options.names.values()
-    near = [name for word in unknown for name in get_close_matches(word, known, 1)]
-    return f" (did you mean {near[0]}?)" if near else ""
 
 
 def _keywords(verb: str, option: str) -> dict[str, Any]:

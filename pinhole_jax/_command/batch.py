@@ -55,6 +55,9 @@ def _fit(options: argparse.Namespace, results: Results) -> None:
         detections=options.detections,
         **record_of(options),
     )
+    shard = re.fullmatch(r"(\d{1,9})/(\d{1,9})", options.shard)
+    if shard is None:
+        raise ValueError(f"`shard`: expected I/N, as 3/10, got {options.shard!r}")
     say("counting records")
     with interrupts_raise():
         fit_many(
@@ -63,18 +66,11 @@ def _fit(options: argparse.Namespace, results: Results) -> None:
             workers=options.workers,
             out=options.output,
             progress=say,
-            shard=_shard(options.shard),
+            shard=(int(shard[1]), int(shard[2])),
             time_limit=options.time_limit or None,
             cached=not options.no_cache,
             retry=options.retry,
         )
-
-
-def _shard(text: str) -> tuple[int, int]:
-    parts = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text)
-    if parts is None:
-        raise ValueError(f"`shard`: expected I/N, as 3/10, got {text!r}")
-    return int(parts[1]), int(parts[2])
 
 
 def _write_outputs(options: argparse.Namespace, results: Results) -> Iterator[str]:

@@ -8,6 +8,7 @@ import base64
 import inspect
 import json
 import math
+import re
 import tempfile
 import threading
 from collections.abc import Callable, Sequence
@@ -386,7 +387,6 @@ def with_assumed_phi(fit: Fit, phi_from: str) -> Fit:
 
 def plain(name: str) -> str:
     """Return a name for files; raise ValueError if it is a path."""
-    good = 0 < len(name) <= 100 and name[0] != "." and all(c.isalnum() or c in "-_." for c in name)
-    if not good:
+    if not re.fullmatch(r"[\w-][\w.-]{0,99}", name):
         raise ValueError(f"`name`: expected letters, digits, - and _, got {name!r}")
     return name
