@@ -222,8 +222,8 @@ def _compared(first: AnyFit, second: AnyFit) -> SplitCheck:
 
     a, b = _answers(first), _answers(second)
     parts = tuple(_part(name, a[name], b[name]) for name in a if name in b)
-    known = [squared_sigmas(part.difference, part.covariance) for part in parts]
-    total, count = (sum(column) for column in zip(*known, strict=True))
+    known = (squared_sigmas(part.difference, part.covariance) for part in parts)
+    total, count = map(sum, zip((0.0, 0), *known, strict=True))
     rms = (total / count) ** 0.5 if count else float("nan")
     return SplitCheck(rms, float(chi2.sf(total, count)), count, parts, (first, second))
 

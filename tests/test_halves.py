@@ -177,6 +177,11 @@ def test_fits_with_nothing_in_common_are_refused():
     alone = fit_at(CAMERA, covariance, NAMES[:6])
     with refusal(r"`refit`: expected fits with a camera, .* got none"):
         pj.split_check(lambda _: (alone, alone), (0, 1))
+    apart = {
+        name: pj.JointFit("converged", {name: alone}, {}, (), 1.0, (), {}) for name in ("a", "b")
+    }
+    with refusal(r"`refit`: expected fits with a camera, .* got none"):
+        pj.split_check(lambda k: apart[k], ("a", "b"))
     fits = alone, fit_at(CAMERA, known_by(0.5))
     with refusal("`refit`: expected fits of the same parameters"):
         pj.split_check(lambda k: fits[k], (0, 1))

@@ -117,7 +117,7 @@ def cut_strips(corners: Int[np.ndarray, "K"], counts: Int[np.ndarray, "S"]) -> n
 
 def _fans_are_right(space: np.ndarray, begin: np.ndarray, face: np.ndarray) -> np.ndarray:
     """Return True (F,) for fans that turn one way, at most once around: `space` (T, 3, 3) are their
-    triangles, of which a `face` (T,) has those from `begin` (F,) on."""
+    triangles, `face` (T,) says whose, and `begin` (F,) which is the first of each."""
     arms = space[:, 1:] - space[:, :1]
     size = np.maximum.reduceat(np.max(np.abs(arms), axis=(1, 2)), begin)
     arms /= np.where(size > 0, size, 1)[face, None, None]
