@@ -45,8 +45,26 @@ from .workpiece import workpiece_of
 Answer = dict[str, Any]
 #: The actions that the page may call.
 ACTIONS = (
-    "hello look move stand lens straight stroke view_guides undo redo clear load_mask fit stop way"
-    " mode restore export save open"
+    "hello",
+    "look",
+    "move",
+    "stand",
+    "lens",
+    "straight",
+    "stroke",
+    "view_guides",
+    "undo",
+    "redo",
+    "clear",
+    "load_mask",
+    "fit",
+    "stop",
+    "way",
+    "mode",
+    "restore",
+    "export",
+    "save",
+    "open",
 )
 #: The number of steps to undo, and of guesses from strokes that are kept for them.
 MOST_UNDONE, MOST_GUESSES = 200, 16
@@ -105,8 +123,8 @@ class Bench:
 
         Raises ValueError for unknown actions, wrong numbers, and while a fit runs.
         """
-        if name not in (known := ACTIONS.split()):
-            raise ValueError(f"`do`: expected one of {', '.join(known)}, got {name!r}")
+        if name not in ACTIONS:
+            raise ValueError(f"`do`: expected one of {', '.join(ACTIONS)}, got {name!r}")
         if name == "stop":
             self._stopping.set()
             return {}
