@@ -103,7 +103,7 @@ class _Bringing:
     ) -> list[tuple[_Brought, Window]]:
         """Where cameras are brought to, the closest first, and of each place that one."""
         solver, level = self.solver, self.level
-        bring = lambda given: self._onward(*given, scales)
+        bring = lambda given: self._onward(given[0], given[1], scales)
         program = lambda given: solver.program(given[0].camera, level)
         ended = zip(in_threads(bring, found, program), (w for _, w in found), strict=True)
         return _apart(sorted(((e, w) for e, w in ended if e), key=lambda f: -self._closeness(f[0])))

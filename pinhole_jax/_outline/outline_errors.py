@@ -297,7 +297,7 @@ class ErrorModel:
         covariance = np.tensordot(far, self._correlation, axes=1) + weights @ self._bias**2
         return covariance + weights @ self._near * np.eye(len(covariance))
 
-    def between(self, hypothesis: int, distance: np.ndarray | float) -> np.ndarray:
+    def between(self, hypothesis: int, distance: Any) -> Any:
         """By how much (px, standard deviation) errors differ at places this far (k,) apart."""
         kind = self._kind[hypothesis]
         alike = self._alike[kind - 1](distance) if kind else 1.0
@@ -311,7 +311,7 @@ class ErrorModel:
         return (count * (far + near)) ** 2 / (alike + (2 * far * near + near**2) * count)
 
 
-def _correlation(extent: float, length: float, power: int, whole: int, distance: Any) -> np.ndarray:
+def _correlation(extent: float, length: float, power: int, whole: int, distance: Any) -> Any:
     """The correlation of errors at places these distances apart: they fall off by that power of the
     distance, over a length; and `whole` times as much errs over an outline's extent."""
     fall = lambda length: np.exp(-((distance / length) ** power))
