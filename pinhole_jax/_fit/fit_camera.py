@@ -47,7 +47,7 @@ from .edge import Edge
 from .implicit import camera_velocity, check_plain, through
 from .likelihood import Account
 from .occluders import from_all_sides, near_starts
-from .photo import COLOURS, check_photo, on_photo
+from .photo import COLOURS, OF_ANOTHER, check_photo, on_photo
 from .places import Free, settled, shelf, tilted, transported, turned_about
 from .refine import Candidate, Refiner
 from .result import Context, Fit, Progress, progress_at, report, with_modes
@@ -404,6 +404,8 @@ def _fit_of(
     if said is not None:
         open_still = [f for f in free if np.isinf(f.ahead)]
         fit = reported(_Mode(said.found, said.sums, said.errors), COLOURS, open_still)
+        if _errs_nowhere(solver, best):
+            fit = fit._replace(status="misfit", weak=(*fit.weak, OF_ANOTHER))
     if note is not None:
         fit = fit._replace(weak=(*fit.weak, note))
     if edge is not None and best.account is not None:
@@ -414,6 +416,13 @@ def _fit_of(
         fit = fit._replace(unbelieved=unbelieved, status=status, weak=(*fit.weak, *words, *doubts))
     turns = [f.axis for f in free if f.axis is not None and np.isinf(f.ahead)]
     return with_modes(fit, other_places(fit, others, turns, minima=best.covariance is None))
+
+
+def _errs_nowhere(solver: Solver, mode: _Mode) -> bool:
+    """True if a program made the mask, as this camera sees it."""
+    if solver.kind.exact:
+        return is_explained(solver, mode.found.view)
+    return mode.errors is not None and is_computed(mode.errors)
 
 
 def _doubts(best: _Mode, said: Account, alone: bool) -> list[str]:

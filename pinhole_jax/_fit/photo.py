@@ -59,6 +59,8 @@ SURE, PHOTO_PX = 2.5, 0.15
 #: A photo whose edge is farther than this from every outline (rms) shows another edge. (At most
 #: 0.5 px in right photos, 1 px and more in those of something else.)
 STRANGE_PX = 0.8
+#: What a mask says that a program made, whose camera is not the photo's: one of both is wrong.
+OF_ANOTHER = "mask and photo are not of one camera: the mask errs by no pixel, the photo elsewhere"
 #: How far beside an outline, in px, an edge is looked for.
 NEAR_PX = 3.0
 
