@@ -13,8 +13,6 @@ from scipy.stats import t
 
 import pinhole_jax as pj
 from pinhole_jax._camera.poses import at_pose, exponential, inverse, pose_of
-from pinhole_jax._joint.door import joint_problem
-from pinhole_jax._joint.levels import descend, finish
 from pinhole_jax._solver import levenberg_marquardt
 
 
@@ -176,43 +174,3 @@ def test_groups_of_cameras_have_a_lens_each(scenes):
     assert len({*phi}) == 2
     np.testing.assert_allclose(phi, [0.6, 0.6, 0.7, 0.7], atol=1e-9)
     assert all(max(apart(f.camera, truths[n])) < 1e-7 for n, f in fit.cameras.items())
-
-
-def test_covariance_equals_that_of_one_dense_matrix(three):
-    """All residuals' derivatives by all unknowns side by side; what is known of some among them."""
-    views, _, starts = three
-    known, silent = {"phi": (0.61, 0.002), "e_x": (0.0, 3.0)}, lambda words: None
-    problem = joint_problem(views, starts, "pose", outlier_px=2.0, prior=known, shared="phi")
-    assert (problem.size, len(problem.priors)) == (19, 4)
-    path = descend(problem, problem.start, silent, range(problem.levels, 0, -1))
-    found = finish(problem, path, silent).found
-    layout, seen, state = found.problem, found.descent.seen, found.descent.state
-    noise, everything = layout.noise(found.descent), np.arange(layout.size)
-    by = [x.moves @ np.eye(19)[layout.columns(k)] for k, x in enumerate(seen)]
-    # (What phi follows of its own unknown, a logarithm of the focal length, a difference says.)
-    lens, beliefs = layout.place("one", "phi"), np.zeros((4, 19))
-    step = 1e-6 * (everything == lens)
-    ends = [float(layout.stepped(state, x).lenses["three"].phi) for x in (step, -step)]
-    beliefs[0, lens] = noise / 0.002 * (ends[0] - ends[1]) / 2e-6
-    for k, name in enumerate(NAMES):
-        beliefs[1 + k, layout.place(name, "pose")[3:]] = noise / 3 * state.poses[name][0, :3]
-    rows = [np.asarray(x.view.triangle) @ moves for x, moves in zip(seen, by, strict=True)]
-    whole = np.concatenate([*rows, beliefs])
-    inverse = np.linalg.inv(whole.T @ whole)
-    by_priors = inverse @ beliefs.T @ beliefs @ inverse
-    roots = [w * inverse @ moves.T for w, moves in zip(layout.weights, by, strict=True)]
-    by_masks = [found.wider * x @ g @ x.T for x, g in zip(roots, found.gradients, strict=True)]
-    expected = sum(by_masks) + noise**2 * by_priors
-
-    def check(actual, expected, place):
-        size = np.sqrt(np.diag(expected))[place]
-        off = actual - expected[np.ix_(place, place)]
-        assert np.max(np.abs(off / np.outer(size, size))) < 1e-6
-
-    own = [np.append(layout.place(name, "pose"), lens) for name in NAMES]
-    for place in (everything, *own):
-        check(found.by_masks.covariance(place), expected, place)
-    total = lambda name: sum(float(getattr(x.view.sums, name)) for x in seen)
-    variance = total("touched_squares") / (total("touched") - layout.size)
-    told = variance * inverse + (noise**2 - variance) * by_priors
-    check(found.by_pixels.covariance(everything), told, everything)

@@ -10,11 +10,12 @@ from refusals import refusal, refuses
 import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._camera.poses import exponential
+from pinhole_jax._joint.agreement import Sandwich
 from pinhole_jax._joint.door import MANY_VIEWS, joint_problem
 from pinhole_jax._solver.least_squares import Rows, held_to_the_end, solve
 
 
-def test_elimination_equals_the_dense_solution():
+def test_elimination_and_its_covariances_equal_the_dense_ones():
     """Two views have a camera in common, all have the last numbers; of one, something is known."""
     random, size, parts = np.random.default_rng(0), 9, []
     for own, number in (([0, 1], 7), ([0, 1], 4), ([2, 3], 7), ([2], 1), ([4, 5], 7)):
@@ -27,6 +28,14 @@ def test_elimination_equals_the_dense_solution():
         found, normal = solve(parts, size, damping), matrix.T @ matrix + np.diag(damping**2)
         assert (found.shared.tolist(), len(found.own)) == ([6, 7, 8], 3)
         np.testing.assert_allclose(normal @ found.x, -matrix.T @ left, atol=1e-11)
+    # Gradients err as they do: each part's by a covariance of its own.
+    errors = [random.normal(size=2 * [len(part.columns)]) for part in parts]
+    errors = [x @ x.T for x in errors]
+    ways = [np.linalg.solve(normal, np.eye(size)[:, part.columns]) for part in parts]
+    expected = sum(way @ x @ way.T for way, x in zip(ways, errors, strict=True))
+    known = Sandwich(found, zip((part.columns for part in parts), errors, strict=True))
+    for place in map(np.array, (range(size), [0, 1, 7], [4, 2], [8])):
+        np.testing.assert_allclose(known.covariance(place), expected[np.ix_(place, place)])
 
 
 def test_many_views_hold_little_memory(scenes):
