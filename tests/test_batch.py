@@ -687,7 +687,7 @@ def test_command_hands_its_options_to_each_record(tmp_path, monkeypatch):
     monkeypatch.setattr("pinhole_jax._command.batch.fit_many", lambda x, **_: items.extend(x))
     (tmp_path / "set.csv").write_text("id,mesh,mask,fov\na,a.ply,a.png,\nb,b.ply,b.png,30\n")
     words = "--K 9,9,4,4 --dist -0.1,0,0,0 --crop 1 2 8 8 --resize 8 8 --weight w.png --no-tidy"
-    assert main(f"{tmp_path}/set.csv -o {tmp_path}/out --free pose focal {words}") == 0
+    assert main(f"-o {tmp_path}/out {words} --free pose focal {tmp_path}/set.csv") == 0
     shared = {"crop": [1, 2, 8, 8], "resize": [8, 8], "weight": "w.png", "free": "pose,phi"}
     shared |= {"tidy": False}
     first, second = items

@@ -1,16 +1,15 @@
 """Cameras from points: exact ones, noisy ones, and OpenCV's own photos of a chessboard."""
 
-import sys
 import warnings
-from pathlib import Path
 
 import cv2
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import real
 from arm import check_slope, numbers_of
-from chosen import full, long, on_cpu
+from chosen import full, long
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from oracles import camera_ahead, central_difference, random_camera, turned
@@ -54,19 +53,6 @@ def test_single_view_gives_pose_and_focal_length_without_a_start():
     assert repr(fit).startswith("<PointFit: converged, rms")
     shown = "pitch", "vertical field of view", "status     converged", "rms  "
     assert all(words in str(fit) for words in shown)
-
-
-@on_cpu
-def test_numbers_of_points_share_one_program(compiled):
-    """Boards that are seen in part, cloud after cloud: each was 4 s."""
-    truth = NEAR[1]
-    counts = []
-    for number in (30, 7, 19, 30):
-        points = SOLID[:: 30 // number][:number]
-        fit = pj.fit_points(points, pj.project(truth, points), START, free=("pose", "phi"))
-        assert abs(float(fit.camera.phi - truth.phi)) < 1e-9
-        counts.append(len(compiled))
-    assert counts[1:] == counts[:1] * 3
 
 
 def test_points_in_float64_are_no_matter_to_warn_of_where_jax_has_float32():
@@ -483,9 +469,6 @@ def test_error_bars_hold_where_neighbouring_points_err_alike(points):
 
 
 def test_chessboards_are_calibrated_as_opencv_calibrates_them(shared):
-    sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
-    import real
-
     seen_at, size = real.corners(shared / "calib" / "opencv_chessboard")
     ours, fits = real.by_fit(real.board(), seen_at, size)
     theirs = real.by_opencv(real.board(), seen_at, size)

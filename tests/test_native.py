@@ -2,6 +2,7 @@
 
 import os
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -46,21 +47,18 @@ def test_coverage_and_derivatives_are_those_by_arrays(kind, bends):
 
 
 def test_batches_are_their_members():
-    """Of images and gradients by all that the library takes, a batch of batches."""
-    eyes, scene = EYE[None, None] + jnp.asarray(RANDOM.normal(size=(2, 2, 3))) * 0.1, SCENES["both"]
-    twice = lambda f: jax.jit(jax.vmap(jax.vmap(f)))
-    views = twice(lambda e: native.variables_of(film_map(camera(e)), scene))(eyes)
-    constants = [np.zeros(0), *native.scene_arrays(scene, float)[1:], np.int32([24, 18])]
-    constants, weights = [*map(jnp.asarray, constants)], jnp.asarray(RANDOM.normal(size=(18, 24)))
+    """Of images and gradients, a batch of batches: all that the library takes moves by the eye."""
+    eyes = jnp.asarray(RANDOM.normal(EYE, 0.1, (2, 2, 3)))
+    weights = jnp.asarray(RANDOM.normal(size=(18, 24)))
+    parts = lambda s: (s.mesh.vertices, s.spheres.centers, s.spheres.radii)
 
-    def seen(view):
-        image = lambda x: native._image((0, (18, 24)), x, constants)
-        return jax.tree.leaves(both_ways(image, view, jax.tree.map(jnp.ones_like, view), weights))
+    def seen(e):
+        scene = lambda e: eqx.tree_at(parts, SCENES["both"], replace_fn=lambda x: x * e[2] / 4)
+        return both_ways(lambda e: drawn(e, scene(e)), e, jnp.ones(3), weights)
 
-    together, one = twice(seen)(views), jax.jit(seen)
+    together, one = jax.jit(jax.vmap(jax.vmap(seen)))(eyes), jax.jit(seen)
     for at in np.ndindex(2, 2):
-        alone = one(jax.tree.map(lambda x, at=at: x[at], views))
-        for whole, own in zip(together, alone, strict=True):
+        for whole, own in zip(together, one(eyes[at]), strict=True):
             assert_allclose(whole[at], own, rtol=1e-12, atol=1e-12)
 
 

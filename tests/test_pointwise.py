@@ -34,6 +34,7 @@ def test_further_numbers_of_points_and_pixels_compile_nothing(compiled):
 
     def all_of_it(n):
         points = RANDOM.standard_normal((n, 3))
+        pj.fit_points(points, pj.project(PLAIN, points), PLAIN, free=("pose", "phi"))
         pj.project(PLAIN.replace(W=n, H=2 * n), points)
         pj.project(BENT, points.reshape(1, n, 3))
         bent(BENT, points[:, :2])
