@@ -1,10 +1,10 @@
 """How a mask's outline errs: offsets measured, their size and length told, intervals that hold."""
 
+import intervals
 import numpy as np
 import pytest
 from chosen import full
 from honesty import signed_distance
-from intervals import error
 from masks import wavy
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
@@ -98,31 +98,22 @@ def test_rendered_soft_mask_has_no_mask_error():
     assert_array_equal(fit.covariance, fit.independent_covariance)
 
 
-def intervals(trials):
-    """Return errors in standard errors (trials, 6), as stated and if pixels were independent."""
-    stated, independent = [], []
-    for trial in trials:
-        random = default_rng(trial)
-        px, length = np.exp(random.uniform(np.log([0.3, 2]), np.log([2, 30])))
-        mask = wavy(IMAGE, random, px, length, random.uniform(-1, 1))
-        fit = pj.fit_camera(SCENE, mask, single(turned(CAMERA, 3.0, axis=[0.3, 1, 0.2])))
-        off = np.abs(error(fit.camera, CAMERA))
-        stated.append(off / fit.std)
-        independent.append(off / np.sqrt(np.diag(fit.independent_covariance)))
-    return np.array(stated), np.array(independent)
+def held(trials):
+    """How many intervals hold, of fits to masks of a lump that waver by 0.3 to 2 px."""
+    return intervals.summary([intervals.trial(k, "bumpy", "one bit") for k in trials])
 
 
 def test_intervals_hold_for_masks_that_waver():
-    stated, independent = intervals(range(3))
-    assert np.mean(stated < 1.96) > 0.8
-    assert np.mean(independent < 1.96) < 0.5  # what they would be without
+    found = held(range(3))
+    assert found["hold"] > 0.8
+    assert found["if independent"] < 0.5  # what they would be without
 
 
 @pytest.mark.full
 def test_intervals_hold_as_often_as_they_say(exhaustive):
-    stated, _ = intervals(range(3, 63 if exhaustive else 11))
-    assert 0.9 < np.mean(stated < 1.96) < 0.99
-    assert 0.3 < np.median(stated) < 0.9
+    found = held(range(3, 63 if exhaustive else 11))
+    assert 0.9 < found["hold"] < 0.99
+    assert 0.3 < found["error / sigma"] < 0.9
 
 
 def test_pixels_of_zero_weight_are_no_mask_error():
