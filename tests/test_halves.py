@@ -113,7 +113,7 @@ def test_halves_of_wavy_outlines_differ_by_their_error_bars():
     assert 0.6 < np.sqrt(squares / count) < 1.3
 
 
-@pytest.mark.parametrize("told", [long(1.0), 0.1])
+@pytest.mark.parametrize("told", [1.0, long(0.1)])
 def test_halves_of_noisy_points_differ_by_their_error_bars(told):
     """... by noise that is known, and by ten times as much as was said."""
     random = default_rng(2)
