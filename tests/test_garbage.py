@@ -13,6 +13,8 @@ import pytest
 import trimesh
 from chosen import first
 from fuzz_readers import broken, damaged, ring, targets
+from numpy.random import default_rng
+from numpy.testing import assert_array_equal
 from oracles import balls, body, cast
 from PIL import Image
 from processes import printed
@@ -199,7 +201,7 @@ def test_random_bits_as_vertices_are_refused_or_seen_without_nan(kind, exhaustiv
     """Random exponents: products of coordinates overflow, differences lose all digits."""
     dtype = np.dtype(kind)
     camera = cast(VIEW, dtype)
-    random, refused = np.random.default_rng(0), 0
+    random, refused = default_rng(0), 0
     faces = random.integers(0, 12, (20, 3))  # the same always: they share a program
     meshes = 500 if exhaustive else 15
     for _ in range(meshes):
@@ -230,7 +232,7 @@ def test_rays_that_are_no_rays_miss_and_leave_others_alone(bad):
     hit = pj.trace(scene, pj.Rays(*rays))
     assert hit.primitive[1:4].tolist() == [-1] * 3
     for x, y in zip(hit, whole, strict=True):
-        np.testing.assert_array_equal(x[::4], y[::4])
+        assert_array_equal(x[::4], y[::4])
         assert not np.any(np.isnan(x))
 
 
@@ -238,7 +240,7 @@ def test_rays_that_are_no_rays_miss_and_leave_others_alone(bad):
 
 
 def test_damaged_files_are_refused_by_name_or_read_as_finite_numbers(tmp_path, exhaustive):
-    random = np.random.default_rng(0)
+    random = default_rng(0)
     signal.signal(signal.SIGPROF, ring)
     for name, target in targets(tmp_path).items():
         path = tmp_path / target.file
@@ -282,7 +284,7 @@ def test_images_of_floats_are_finite(tmp_path):
         with refusal(r"`path`: expected .* NaN or infinity"):
             io.load_mask(path)
     save(-3)
-    np.testing.assert_array_equal(io.load_mask(path), [[0, 255], [0, 128]])
+    assert_array_equal(io.load_mask(path), [[0, 255], [0, 128]])
 
 
 # --- what is written -----------------------------------------------------------------------------

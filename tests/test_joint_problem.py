@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 from arm import BAR, TRUTH, posture, views as arm_views
+from numpy.testing import assert_allclose
 from oracles import drawn
 from refusals import refusal, refuses
 
@@ -27,7 +28,7 @@ def test_elimination_and_its_covariances_equal_the_dense_ones():
     for damping in (np.linspace(0.1, 2, size), np.zeros(size)):
         found, normal = solve(parts, size, damping), matrix.T @ matrix + np.diag(damping**2)
         assert (found.shared.tolist(), len(found.own)) == ([6, 7, 8], 3)
-        np.testing.assert_allclose(normal @ found.x, -matrix.T @ left, atol=1e-11)
+        assert_allclose(normal @ found.x, -matrix.T @ left, atol=1e-11)
     # Gradients err as they do: each part's by a covariance of its own.
     errors = [random.normal(size=2 * [len(part.columns)]) for part in parts]
     errors = [x @ x.T for x in errors]
@@ -35,7 +36,7 @@ def test_elimination_and_its_covariances_equal_the_dense_ones():
     expected = sum(way @ x @ way.T for way, x in zip(ways, errors, strict=True))
     known = Sandwich(found, zip((part.columns for part in parts), errors, strict=True))
     for place in map(np.array, (range(size), [0, 1, 7], [4, 2], [8])):
-        np.testing.assert_allclose(known.covariance(place), expected[np.ix_(place, place)])
+        assert_allclose(known.covariance(place), expected[np.ix_(place, place)])
 
 
 def test_many_views_hold_little_memory(scenes):

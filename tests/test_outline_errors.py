@@ -15,7 +15,6 @@ from views import solver_of
 import pinhole_jax as pj
 from pinhole_jax._outline.outline_errors import ErrorModel
 from pinhole_jax._outline.stretches import quantised
-from pinhole_jax._rules import RULES
 from pinhole_jax._solver.moves import canonical
 
 SIZE = 128
@@ -152,22 +151,6 @@ def test_mask_that_is_grown_all_round_does_not_turn_the_camera(px):
     fit = pj.fit_camera(SCENE, grown, start)
     check_found(fit, CAMERA, min(0.5, 3 * sigma(fit)))
     assert degrees(pj.fit_camera(SCENE, grown, start, outlier_px=None), CAMERA) > 1
-
-
-@pytest.mark.parametrize("power, length", [(1, 16), (2, 40)])
-def test_ellipsoids_hold_for_errors_of_a_circle_that_are_rough_or_smooth(power, length):
-    """(The oracle: offsets drawn by their covariance's Cholesky factor; the right move is none.)"""
-    turn = 2 * np.pi * np.arange(60) / 60
-    at = 40 * np.column_stack([np.cos(turn), np.sin(turn)])
-    by_move = np.column_stack([f(k * turn) for k in (1, 2) for f in (np.cos, np.sin)])
-    distance = np.linalg.norm(at[:, None] - at, axis=-1)
-    root = np.linalg.cholesky(np.exp(-((distance / length) ** power)) + 1e-6 * np.eye(60))
-    model = ErrorModel(at, 1e-3 / 4.2, RULES.lengths, RULES.shapes)
-    random, held = default_rng(0), []
-    for _ in range(40):
-        fit = model.fit(model.evidence(root @ random.normal(size=60), by_move))
-        held.append(fit.move @ np.linalg.solve(fit.covariance, fit.move) < 9.49)  # (95 % of four)
-    assert np.mean(held) > 0.85
 
 
 def test_evidence_without_gross_offsets_equals_that_of_the_others():

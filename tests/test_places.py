@@ -158,7 +158,6 @@ def test_nut_fits_as_well_one_side_on(sides, monkeypatch):
         assert min(degrees(f, camera) for f in (fit, *fit.modes)) < 1
 
 
-@pytest.mark.long
 def test_camera_where_steps_do_not_end_is_uncertain():
     """A blurred chair, 29 degrees off: sigma is 3.5, the likeliest camera 9 of them away."""
     random = np.random.default_rng([970048, *map(ord, "chair")])

@@ -79,10 +79,10 @@ def put(bench, **changes):
     bench.session = bench.session._replace(**changes)
 
 
-def do(bench, action, /, push=lambda news: None, **numbers):
+def do(bench, do, push=lambda news: None, **numbers):
     """Return an action's answer, gone through JSON as the page's is; `push` hears the news."""
     heard = lambda x: json.loads(as_json(x), parse_constant=pytest.fail)
-    return heard(bench.act(action, heard(numbers), lambda news: push(heard(news))))
+    return heard(bench.act(do, heard(numbers), lambda news: push(heard(news))))
 
 
 # Strokes.
@@ -248,31 +248,34 @@ def saved(bench, *free):
 
 
 def stroke(**changes):
-    return {"strokes": [{"kind": "add", "radius_px": 1, "points": [[1, 2]], **changes}]}
+    stroke = {"kind": "add", "radius_px": 1, "points": [[1, 2]], **changes}
+    return json.dumps({"strokes": [stroke]})
 
 
-@pairs(
-    "words, changes",
-    {
-        "`schema`: expected one of pinhole_jax.studio/1, got 'other'": {"schema": "other"},
-        "`mesh`: expected a text, got 3": {"mesh": 3},
-        "`e`: expected a camera's field": {"camera": {}},
-        "`known_phi`: expected an angle": {"known_phi": 4},
-        r"`free`: expected some of .*, got \['nose'\]": {"free": ["nose"]},
-        "`strokes`: expected a list": {"strokes": {}},
-        r"expected fields with names, got 3 .*, strokes\[0\]": {"strokes": [3]},
-        "`kind`: expected one of object, background, .* got 'paint'": stroke(kind="paint"),
-        r"`points`: .* of shape \(N, 2\), got \[\[1\]\]": stroke(points=[[1]]),
-        "`radius_px`: expected a radius above 0 px, got 0": stroke(radius_px=0),
-        r"`points`: expected .*, got \[\]": stroke(points=[]),
-        "`points`: .* on the picture": stroke(points=[[1, 1e9]]),
-        "`mask`: expected a PNG file in base64": {"strokes": [{"mask": "no picture"}]},
-        "`mask`: expected 8 bits, 64 x": {"strokes": [{"mask": png(np.zeros((3, 3), np.uint8))}]},
-        "`line`: expected 4 finite numbers": {"lines": [[1, 2]]},
-    },
-)
+PNG = png(np.zeros((3, 3), np.uint8))
+#: Fields of a session's file, and the error.
+WRONG = {
+    '{"schema": "other"}': "`schema`: expected one of pinhole_jax.studio/1, got 'other'",
+    '{"mesh": 3}': "`mesh`: expected a text, got 3",
+    '{"camera": {}}': "`e`: expected a camera's field",
+    '{"known_phi": 4}': "`known_phi`: expected an angle",
+    '{"free": ["nose"]}': r"`free`: expected some of .*, got \['nose'\]",
+    '{"strokes": {}}': "`strokes`: expected a list",
+    '{"strokes": [3]}': r"expected fields with names, got 3 .*, strokes\[0\]",
+    stroke(kind="paint"): "`kind`: expected one of object, background, .* got 'paint'",
+    stroke(points=[[1]]): r"`points`: .* of shape \(N, 2\), got \[\[1\]\]",
+    stroke(radius_px=0): "`radius_px`: expected a radius above 0 px, got 0",
+    stroke(points=[]): r"`points`: expected .*, got \[\]",
+    stroke(points=[[1, 1e9]]): "`points`: .* on the picture",
+    '{"strokes": [{"mask": "no picture"}]}': "`mask`: expected a PNG file in base64",
+    f'{{"strokes": [{{"mask": "{PNG}"}}]}}': "`mask`: expected 8 bits, 64 x",
+    '{"lines": [[1, 2]]}': "`line`: expected 4 finite numbers",
+}
+
+
+@pairs("changes, words", WRONG)
 def test_bad_session_is_refused_by_name(bench, changes, words):
-    text = json.dumps({**json.loads(saved(bench, "pose")), **changes})
+    text = json.dumps({**json.loads(saved(bench, "pose")), **json.loads(changes)})
     with refusal(words) as caught:
         do(bench, "open", text=text, name="some.json")
     assert "some.json" in str(caught.value)
@@ -282,33 +285,32 @@ def test_bad_session_is_refused_by_name(bench, changes, words):
 
 
 SMALL = png(np.zeros((20, 10), np.uint8))
+#: Messages of the page, and the reason.
+IMPOSSIBLE = {
+    '{"do": "__init__"}': "`do`: expected one of hello, .*, got '__init__'",
+    '{"do": "stand", "down": "y"}': "`stand`: ",
+    '{"do": "stand", "up": "w"}': "`up`: expected one of x, y, z, got 'w'",
+    f'{{"do": "load_mask", "data": "{SMALL}"}}': "`mask`: .* photo's size 64 x 64, got 10 x 20",
+    '{"do": "load_mask", "data": "bm8=", "name": "a.png"}': "readable image .* got 'a.png'",
+    '{"do": "move", "turn": [1, 2]}': "`turn`: expected 3 finite numbers",
+    '{"do": "move", "nearer": 0}': "`nearer`: expected a positive factor, got 0",
+    '{"do": "lens", "phi_degrees": 190}': "`phi`: expected an angle",
+    '{"do": "undo"}': "nothing to undo",
+    '{"do": "redo"}': "nothing to redo",
+    '{"do": "restore"}': "there is no result yet",
+    '{"do": "mode", "number": 0}': "`number`: expected one of 0 cameras",
+    '{"do": "fit", "free": ["pose"]}': "there is no mask yet",
+    '{"do": "export", "format": "fbx", "name": "a"}': "`format`: expected one of all.*'fbx'",
+    '{"do": "export", "format": "json", "name": "../a"}': "`name`: expected letters.*'../a'",
+    '{"do": "save", "name": "a", "free": []}': "`free`: expected some of",
+    '{"do": "save", "name": ".a", "free": ["pose"]}': "`name`: expected letters",
+}
 
 
-@pytest.mark.parametrize(
-    "name, numbers, words",
-    [
-        ("__init__", {}, "`do`: expected one of hello, .*, got '__init__'"),
-        ("stand", {"down": "y"}, "`stand`: "),
-        ("stand", {"up": "w"}, "`up`: expected one of x, y, z, got 'w'"),
-        ("load_mask", {"data": SMALL}, "`mask`: expected the photo's size 64 x 64, got 10 x 20"),
-        ("load_mask", {"data": "bm8=", "name": "a.png"}, "readable image .* got 'a.png'"),
-        ("move", {"turn": [1, 2]}, "`turn`: expected 3 finite numbers"),
-        ("move", {"nearer": 0}, "`nearer`: expected a positive factor, got 0"),
-        ("lens", {"phi_degrees": 190}, "`phi`: expected an angle"),
-        ("undo", {}, "nothing to undo"),
-        ("redo", {}, "nothing to redo"),
-        ("restore", {}, "there is no result yet"),
-        ("mode", {"number": 0}, "`number`: expected one of 0 cameras"),
-        ("fit", {"free": ["pose"]}, "there is no mask yet"),
-        ("export", {"format": "fbx", "name": "a"}, "`format`: expected one of all.*'fbx'"),
-        ("export", {"format": "json", "name": "../a"}, "`name`: expected letters.*, got '../a'"),
-        ("save", {"name": "a", "free": []}, "`free`: expected some of"),
-        ("save", {"name": ".a", "free": ["pose"]}, "`name`: expected letters"),
-    ],
-)
-def test_impossible_actions_are_refused_with_the_reason(bench, name, numbers, words):
+@pairs("message, words", IMPOSSIBLE)
+def test_impossible_actions_are_refused_with_the_reason(bench, message, words):
     with refusal(words):
-        do(bench, name, **numbers)
+        do(bench, **json.loads(message))
 
 
 def test_strokes_are_undone_and_redone(bench):
