@@ -15,9 +15,9 @@ from pinhole_jax._scene.alike import Alike
 TURN, SHIFT = Rotation.from_rotvec([0.4, 1.1, -0.7]).as_matrix(), np.array([3.0, -4.0, 5.0])
 
 
-def handle(at, **dense):
+def handle(at, radius=0.35, **dense):
     sections = {"major_sections": 24, "minor_sections": 12, **dense}
-    ring = trimesh.creation.torus(0.35, 0.08, **sections)
+    ring = trimesh.creation.torus(radius, 0.08, **sections)
     ring.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
     return ring.apply_translation([at, 0, 0])
 

@@ -79,27 +79,28 @@ FLAT = pj.Mesh([[0, 0, 0], [1, 0, 0], [2, 0, 0.0]], [[0, 1, 2], [0, 0, 1]])
 BALL = pj.Spheres([[0.0, 0, 0]], [1.0])
 
 
-Y, Z = [0, 1, 0], [0, 0, 1]
+BODIES = {"solid": (SOLID, None), "ball": (None, BALL), "both": (SOLID, BALL), "flat": (FLAT, None)}
 #: Eye, view point, up, field of view; a mesh, spheres.
-VIEWS = {
-    "ordinary": ([0.3, 1, 5], [0.1, 0, 0], Y, 0.9, SOLID, BALL),
-    "nothing in sight": ([0.3, 1, 5], [0.1, 0, 9], Y, 0.9, SOLID, BALL),
-    "eye on a vertex": ([1, 1, 1], [0.1, 0, 0], Y, 0.9, SOLID, None),
-    "eye in a face's plane": ([3, -1, -1], [0, 0, 0], Y, 0.9, SOLID, None),
-    "eye within": ([0, 0, 0.1], [1, 0, 0], Y, 0.9, SOLID, BALL),
-    "eye on a sphere": ([0, 0, 1], [0, 1, 1], Z, 0.9, None, BALL),
-    "sphere as a parabola": ([0, 1, 2], [0, 1, 0], Y, 3.0, None, BALL),
-    "sphere on the axis": ([0, 0, 4], [0, 0, 0], Y, 0.9, None, BALL),
-    "no area": ([0, 0, 4], [0, 0, 0], Y, 0.9, FLAT, None),
-}
+VIEWS = """
+    0.3 1 5    0.1 0 0  0 1 0  0.9  both   # ordinary
+    0.3 1 5    0.1 0 9  0 1 0  0.9  both   # nothing in sight
+    1 1 1      0.1 0 0  0 1 0  0.9  solid  # the eye on a vertex
+    3 -1 -1    0 0 0    0 1 0  0.9  solid  # the eye in a face's plane
+    0 0 0.1    1 0 0    0 1 0  0.9  both   # the eye within
+    0 0 1      0 1 1    0 0 1  0.9  ball   # the eye on a sphere
+    0 1 2      0 1 0    0 1 0  3.0  ball   # a sphere as a parabola
+    0 0 4      0 0 0    0 1 0  0.9  ball   # a sphere on the axis
+    0 0 4      0 0 0    0 1 0  0.9  flat   # no area
+"""
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("name", VIEWS)
-def test_no_operation_makes_nan(name):
+@pytest.mark.parametrize("row", VIEWS.strip().splitlines())
+def test_no_operation_makes_nan(row):
     """Every operation on its own: minutes."""
-    *view, mesh, spheres = VIEWS[name]
-    moving = pj.Camera(*view, W=3, H=3), pj.Scene(mesh, spheres=spheres)
+    *numbers, kind = row.partition("#")[0].split()
+    e, p, u = np.array(numbers[:9], float).reshape(3, 3)
+    moving = pj.Camera(e, p, u, float(numbers[9]), W=3, H=3), pj.Scene(*BODIES[kind])
     with jax.disable_jit(), jax.debug_nans(True):
         value, slopes = eqx.filter_value_and_grad(lambda x: summary(*x, True))(moving)
     for leaf in jax.tree.leaves((value, slopes)):

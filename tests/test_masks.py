@@ -1,5 +1,7 @@
 """Pictures as masks: how each is read, and which are refused, with the ways to read them."""
 
+import json
+
 import numpy as np
 import pytest
 from numpy.random import default_rng
@@ -299,24 +301,25 @@ def test_background_colour_gives_partial_coverage_at_edges(tmp_path, way):
     assert ("30.0 in CIE Lab (as told)" in said) == ("30" in way)
 
 
-@pytest.mark.parametrize(
-    "rle, words",
-    [
-        ([{"size": [2, 2], "counts": [4]}], "got .*; give one of a list"),
-        ([[1.0, 1.0, 6.0, 1.0, 6.0, 4.0]], "of polygons .*frPyObjects"),
-        (None, "got None"),
-        ({"counts": [4]}, "`size` and `counts`"),
-        ({"size": [2, -2], "counts": [4]}, "`size`"),
-        ({"size": [2, 2], "counts": [1.5, 2.5]}, "whole numbers"),
-        ({"size": [2, 2], "counts": [3]}, "runs of 4 pixels, got 3"),
-        ({"size": [2, 2], "counts": [5, -1]}, "at least 0"),
-        ({"size": [2, 2], "counts": b"\n"}, "pycocotools' text"),
-        ({"size": [2, 2], "counts": "o" * 10**6}, "pycocotools' text"),  # soon
-    ],
-)
-def test_run_lengths_that_are_none_are_refused(rle, words):
-    with refusal(words) as caught:
-        io.mask_of_rle(rle)
+MILLION = "o" * 10**6
+RUN_LENGTHS = {
+    '[{"size": [2, 2], "counts": [4]}]': "got .*; give one of a list",
+    "[[1.0, 1.0, 6.0, 1.0, 6.0, 4.0]]": "of polygons .*frPyObjects",
+    "null": "got None",
+    '{"counts": [4]}': "`size` and `counts`",
+    '{"size": [2, -2], "counts": [4]}': "`size`",
+    '{"size": [2, 2], "counts": [1.5, 2.5]}': "whole numbers",
+    '{"size": [2, 2], "counts": [3]}': "runs of 4 pixels, got 3",
+    '{"size": [2, 2], "counts": [5, -1]}': "at least 0",
+    r'{"size": [2, 2], "counts": "\n"}': "pycocotools' text",
+    f'{{"size": [2, 2], "counts": "{MILLION}"}}': "pycocotools' text",  # soon
+}
+
+
+@pytest.mark.parametrize("text", RUN_LENGTHS, ids=lambda text: text[:40])
+def test_run_lengths_that_are_none_are_refused(text):
+    with refusal(RUN_LENGTHS[text]) as caught:
+        io.mask_of_rle(json.loads(text))
     assert "`rle`" in str(caught.value)
 
 
