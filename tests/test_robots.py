@@ -14,16 +14,15 @@ from refusals import pairs, refusal
 import pinhole_jax as pj
 from pinhole_jax._command.joints import joint_angles
 
-CORNERS = np.array(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij")).reshape(3, 8).T
-#: A cube's faces, seen from outside.
-QUADS = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
-TRIANGLES = [[a, *pair] for a, b, c, d in QUADS for pair in ((b, c), (c, d))]
+
+def cube(size):
+    """A cube of this size, with a corner at the origin."""
+    return trimesh.creation.box(bounds=[[0] * 3, [size] * 3])
 
 
 def write_stl(path, size):
-    """A cube of this size, with a corner at the origin."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    trimesh.creation.box(bounds=[[0] * 3, [size] * 3]).export(path)
+    cube(size).export(path)
 
 
 def write_urdf(folder, body):
@@ -136,17 +135,18 @@ def test_mirroring_scales_turn_faces_outwards(tmp_path):
 
 def collada(unit="1", node="", up="Z_UP", shape="", extra=""):
     """A cube of a hundred units."""
-    triangles = " ".join(str(i) for t in TRIANGLES for i in t)
+    corners, triangles = (
+        " ".join(map(str, x.ravel())) for x in (cube(100).vertices, cube(100).faces)
+    )
     shape = shape or f'<triangles count="12">{{}}<p>{triangles}</p></triangles>'
     shape = shape.format('<input semantic="VERTEX" source="#v" offset="0"/>')
-    numbers = " ".join(map(str, 100 * CORNERS.ravel()))
     names = "".join(f'<param name="{x}" type="float"/>' for x in "XYZ")
     return (
         '<?xml version="1.0"?>'
         '<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"><asset>'
         f'<unit name="u" meter="{unit}"/><up_axis>{up}</up_axis></asset>{extra}'
         f'<library_geometries><geometry id="g"><mesh><source id="p"><float_array id="a" count="24">'
-        f'{numbers}</float_array><technique_common><accessor source="#a" count="8" stride="3">'
+        f'{corners}</float_array><technique_common><accessor source="#a" count="8" stride="3">'
         f'{names}</accessor></technique_common></source><vertices id="v"><input '
         f'semantic="POSITION" source="#p"/></vertices>{shape}</mesh></geometry>'
         '</library_geometries><library_visual_scenes><visual_scene id="s"><node id="n">'

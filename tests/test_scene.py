@@ -14,7 +14,7 @@ import pinhole_jax as pj
 from pinhole_jax import shapes
 from pinhole_jax._scene.scene import bounding_box, padded
 
-TETRAHEDRON = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
+TETRAHEDRON = np.eye(4, 3, -1)  # the origin, and a corner on each axis
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])  # counter-clockwise from outside
 
 

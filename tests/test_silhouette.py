@@ -167,13 +167,14 @@ def test_real_meshes_match_the_polygon_union(name, shared, exhaustive):
         check(camera, scene, 1e-9)
 
 
+#: Centres and radii of three spheres each. (Where fewer are meant, others are out of sight.)
 SPHERES = {
-    "apart": ([[-0.9, 0.3, 0], [0.5, -0.7, 1], [0.6, 0.6, -1]], [0.4, 0.15, 0.35]),
-    "overlap": ([[0, 0, 0], [0.9, 0.2, 0.3], [0.3, 0.8, -0.5]], [0.7, 0.5, 0.4]),
-    "crosses the plane of the eye": ([[0.3, -1.2, 4.8], [-1.5, 0.2, 5.1]], [1.1, 1.4]),
-    "touches the plane of the eye": ([[1.5, 0, 4.0]], [1.0]),
-    "one within another, nearly touching": ([[0, 0, 0], [0.3, 0, 0], [0, 0, 0]], [1.0, 0.7, 1.0]),
-    "below a pixel": ([[0.05, 0.03, 0], [0.051, 0.03, 0], [0.9, 0.1, 0]], [5e-4, 5e-4, 0.01]),
+    "apart": "-0.9 0.3 0 0.4    0.5 -0.7 1 0.15    0.6 0.6 -1 0.35",
+    "overlap": "0 0 0 0.7    0.9 0.2 0.3 0.5    0.3 0.8 -0.5 0.4",
+    "crosses the plane of the eye": "0.3 -1.2 4.8 1.1    -1.5 0.2 5.1 1.4    9 0 0 1",
+    "touches the plane of the eye": "1.5 0 4 1    9 0 0 1    9 1 0 1",
+    "one within another, nearly touching": "0 0 0 1    0.3 0 0 0.7    0 0 0 1",
+    "below a pixel": "0.05 0.03 0 5e-4    0.051 0.03 0 5e-4    0.9 0.1 0 0.01",
 }
 
 
@@ -181,12 +182,10 @@ SPHERES = {
     "name, mixed", first(1, [(name, mixed) for mixed in (False, True) for name in SPHERES], 2)
 )
 def test_spheres_match_their_outlines(name, mixed):
-    """(Where there are less than three, others are out of sight.)"""
-    centers, radii = SPHERES[name]
-    rest = range(3 - len(radii))
-    spheres = [*centers, *([9.0, k, 0] for k in rest)], [*radii, *(1.0 for _ in rest)]
+    *centers, radii = np.array(SPHERES[name].split(), float).reshape(3, 4).T
     camera = camera_ahead(W, H).replace(phi=0.9)
-    check(camera, balls(*spheres, pj.Mesh(*soup(20)) if mixed else None), 1e-6)
+    mesh = pj.Mesh(*soup(20)) if mixed else None
+    check(camera, balls(np.transpose(centers), radii, mesh), 1e-6)
 
 
 @pytest.mark.long
