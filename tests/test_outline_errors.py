@@ -13,7 +13,6 @@ from results import check_found, degrees, sigma
 from views import solver_of
 
 import pinhole_jax as pj
-from pinhole_jax._outline.outline_errors import ErrorModel
 from pinhole_jax._outline.stretches import quantised
 from pinhole_jax._solver.moves import canonical
 
@@ -151,16 +150,3 @@ def test_mask_that_is_grown_all_round_does_not_turn_the_camera(px):
     fit = pj.fit_camera(SCENE, grown, start)
     check_found(fit, CAMERA, min(0.5, 3 * sigma(fit)))
     assert degrees(pj.fit_camera(SCENE, grown, start, outlier_px=None), CAMERA) > 1
-
-
-def test_evidence_without_gross_offsets_equals_that_of_the_others():
-    """(The oracle: a model of the others' places alone.)"""
-    random = default_rng(0)
-    at = np.concatenate([np.zeros((20, 2)), random.normal(size=(20, 2))]) * 9
-    gross, offset = np.arange(40) < 20, random.normal(size=40)
-    by_move = random.normal(size=(40, 3)) * ~gross[:, None]
-    shapes = [(1, 0), (2, 0)]
-    whole = ErrorModel(at, 0.1, (6.0, 40.0), shapes).evidence(offset, by_move, gross)
-    some = ErrorModel(at[20:], 0.1, (6.0, 40.0), shapes).evidence(offset[20:], by_move[20:])
-    for a, b in zip(whole, some, strict=True):
-        assert_allclose(a, b, rtol=1e-6, atol=1e-9)
