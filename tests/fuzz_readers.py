@@ -57,6 +57,8 @@ def watched():
 
 
 with watched():
+    from oracles import usual_camera
+
     import pinhole_jax as pj
 
     for part in ("formats", "io", "robots"):
@@ -65,7 +67,7 @@ with watched():
 GB, SECONDS = 1 << 30, 5.0
 WORDS = [*b"nan -1 0 1e400 1e300 1.7 99999999999 - null [] {} ' \xff".split(), b"9" * 5000, b""]
 TOKEN = re.compile(rb"[\w.+-]+|[^\w\s]")
-CAMERA = pj.Camera([0.3, 1.0, 5.0], [0.1, 0, 0], [0.2, 1, 0.1], 0.6, 1.0, 96, 80)
+CAMERA = usual_camera()
 URDF = b"""<robot name="r"><link name="a"><visual><geometry><box size="1 1 1"/></geometry></visual>
 </link><link name="b"/><joint name="j" type="revolute"><parent link="a"/><child link="b"/>
 <axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""

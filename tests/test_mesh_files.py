@@ -14,7 +14,7 @@ import shapely
 import trimesh
 from folders import put, triangles_of
 from numpy.testing import assert_allclose, assert_array_equal
-from oracles import QUAD
+from oracles import CORNERS, QUAD
 from refusals import pairs, refusal
 from scipy.spatial.transform import Rotation
 from test_polygons import SHAPES, covered
@@ -29,12 +29,12 @@ TRIANGLE = np.array([[90, 0], [91, 0], [90, 1.0]])
 FACES = [*FLAT, TRIANGLE]
 POINTS = np.pad(np.concatenate(FACES), ((0, 0), (0, 1)), constant_values=0.5)
 COUNTS = [len(face) for face in FACES]
-CORNERS = np.split(np.arange(len(POINTS)), np.cumsum(COUNTS)[:-1])
+INDICES = np.split(np.arange(len(POINTS)), np.cumsum(COUNTS)[:-1])
 
 
 def obj(corner="{}", back=False, end="\n", more=""):
     lines = ["# a comment", "mtllib ../secret.mtl", "o one"]
-    for face, corners in zip(FACES, CORNERS, strict=True):
+    for face, corners in zip(FACES, INDICES, strict=True):
         lines += [f"v {x} {y} 0.5{more}" for x, y in face]
         lines += ["vt 0 0", "vn 0 0 1", "usemtl f_1", "s off", "l 1 2"]
         names = corners + 1 if not back else corners - corners[-1] - 1
@@ -44,7 +44,7 @@ def obj(corner="{}", back=False, end="\n", more=""):
 
 def off(kind="OFF", colour="", around=""):
     rows = [" ".join(map(str, p)) + around for p in POINTS]
-    rows += [f"{len(c)} " + " ".join(map(str, c)) + colour for c in CORNERS]
+    rows += [f"{len(c)} " + " ".join(map(str, c)) + colour for c in INDICES]
     return f"{kind}\n# sizes\n{len(POINTS)} {len(FACES)} 0\n\n".encode() + "\n".join(rows).encode()
 
 
@@ -66,7 +66,7 @@ def ply(order="<", name="vertex_indices", length="uchar", index="int", real="flo
     rows = [("uchar", 3), *(("short", k) for k in range(3)), ("uchar", 0)] if more else []
     for point in POINTS:
         rows += [("uchar", 9)] * more + [(real, x) for x in point] + [("double", 1.5)] * more
-    for k, corners in enumerate(CORNERS):
+    for k, corners in enumerate(INDICES):
         rows += [("uchar", k), *[("float", 0.5)] * k] if more else []
         rows += [(length, len(corners)), *((index, int(c)) for c in corners)]
         rows += [("uchar", 7), ("float", 2.5)] if more else []
@@ -239,7 +239,7 @@ def test_no_file_that_an_obj_names_is_opened(tmp_path, monkeypatch):
 # --- glTF ----------------------------------------------------------------------------------------
 
 KINDS = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}
-SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], "<f4")
+SQUARE = np.maximum(CORNERS, 0).astype("<f4")
 TWO = np.array(QUAD, "<u2")
 
 

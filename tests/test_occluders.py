@@ -16,7 +16,6 @@ from views import solver_of
 
 import pinhole_jax as pj
 from pinhole_jax import plot, report
-from pinhole_jax._fit.edge import Edge, OutlinePoints, matched
 from pinhole_jax._fit.refine import Refiner
 from pinhole_jax._solver.moves import canonical
 from pinhole_jax.show.outline import RED
@@ -34,17 +33,6 @@ def behind_a_wall(truth, scene, share):
     there = np.flatnonzero(inside.any(axis=0))
     wall = int(there[0] + share * np.ptp(there))
     return inside & (wall < COLUMNS), float(wall)
-
-
-@pytest.mark.parametrize("phase", [0.0, 0.25, 0.5])
-def test_offset_of_an_edge_does_not_depend_on_where_its_points_lie(phase):
-    """A circle of radius 30.2 about one of 30, a point a px on each."""
-    turn = lambda count, phase: 2 * np.pi * (np.arange(count) + phase) / count
-    out = lambda t: np.column_stack([np.cos(t), np.sin(t)])
-    seen, drawn_out = out(turn(188, 0.0)), out(turn(188, phase))
-    edge = Edge(30.2 * drawn_out, drawn_out, np.ones(188), np.zeros(188, int), 60.0)
-    outline = OutlinePoints(30 * seen, seen, np.zeros((188, 6)), 188.0, 1.0)
-    np.testing.assert_allclose(matched(edge, outline).off, 0.2, atol=0.01)
 
 
 def share_left(fit, scene, seen):

@@ -37,10 +37,15 @@ def cut(space):
     return triangulate(Polygons(space, np.arange(len(space)), np.array([len(space)])))
 
 
-#: Corners in shapely's text (WKT), and of some curves.
+def corners_of(text):
+    """Return corners (n, 2) in shapely's text (WKT)."""
+    return shapely.get_coordinates(shapely.from_wkt(f"LINESTRING ({text})"))
+
+
+#: Polygons, some of them of curves.
 SHAPES = {
-    name: shapely.get_coordinates(shapely.from_wkt(f"LINESTRING ({corners})"))
-    for name, corners in {
+    name: corners_of(text)
+    for name, text in {
         "chevron": "0 0, 1 0.8, 2 0, 1 2",
         "L": "0 0, 2 0, 2 1, 1 1, 1 2, 0 2",
         "arrow": "0 1, 2 1, 2 0, 4 1.5, 2 3, 2 2, 0 2",
@@ -130,15 +135,15 @@ def test_quads_that_are_not_flat_are_cut_so_that_both_halves_face_their_way():
 
 
 @pytest.mark.parametrize(
-    "corners",
+    "text",
     [
-        [[0, 0], [1, 1], [1, 0], [0, 1]],  # lobes of one size: no normal
-        [[0, 0], [2, 1], [2, 0], [0, 2]],
-        [[0, 0], [3, 0], [3, 2], [1, -1], [0, 2]],
+        "0 0, 1 1, 1 0, 0 1",  # lobes of one size: no normal
+        "0 0, 2 1, 2 0, 0 2",
+        "0 0, 3 0, 3 2, 1 -1, 0 2",
     ],
 )
-def test_sides_that_cross_are_refused(corners):
-    space = in_space(corners)
+def test_sides_that_cross_are_refused(text):
+    space = in_space(corners_of(text))
     with refusal("face 2: its sides cross"):
         triangulate(Polygons(space, np.r_[:3, : len(space)], np.array([3, len(space)])))
 

@@ -140,8 +140,11 @@ def test_bumpy_is_closed_wound_outwards_and_repeatable():
     assert_array_equal(mesh.vertices, shapes.bumpy(3, seed=2).vertices)
 
 
+PROFILE = np.array([(0, 0), (2, 0), (2, 3), (0, 3)])
+
+
 def test_revolved_cylinder_has_its_volume():
-    mesh = shapes.revolved(np.array([(0, 0), (2, 0), (2, 3), (0, 3)]), sections=400)
+    mesh = shapes.revolved(PROFILE, sections=400)
     assert mesh.closed
     volume = in_trimesh(mesh).volume
     assert_allclose(volume, np.pi * 4 * 3, rtol=1e-3)
@@ -149,4 +152,4 @@ def test_revolved_cylinder_has_its_volume():
 
 def test_profile_off_the_axis_is_refused():
     with refusal("`profile`: expected radii 0"):
-        shapes.revolved(np.array([(1, 0), (2, 0), (2, 3), (0, 3)]))
+        shapes.revolved(PROFILE + 1)
