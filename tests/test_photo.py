@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 import pytest
+from masks import wavy
 from numpy.testing import assert_allclose, assert_array_equal
 from oracles import body, drawn, lump, turned, usual_camera
 from refusals import refusal, refuses
@@ -63,6 +64,21 @@ def test_right_mask_is_kept():
         assert "fitted to the mask: its edge" in fit.weak[-1]
         assert_array_equal(fit.camera.e, by_mask.camera.e)
         assert_array_equal(fit.covariance, by_mask.covariance)
+
+
+def test_photo_decides_between_cameras_that_a_mask_leaves_open():
+    mask = wavy(SHOWN, np.random.default_rng(3), 3, 15)
+    by_mask, fit = fitted(mask), fitted(mask, photo_of(SHOWN))
+    assert (by_mask.status, fit.status) == ("ambiguous", "converged")
+    assert not fit.modes
+    assert off(fit)[0] < 0.1
+
+
+@pytest.mark.parametrize("mask", [SHOWN, SHOWN > 0.5])
+def test_photo_beside_a_mask_that_errs_nowhere_is_of_another_camera(mask):
+    fit = fitted(mask, photo_of(np.roll(SHOWN, 3, axis=1)))
+    assert fit.status == "misfit"
+    assert "not of one camera" in fit.weak[0]
 
 
 @pytest.mark.long

@@ -47,7 +47,16 @@ from .edge import Edge
 from .implicit import camera_velocity, check_plain, through
 from .likelihood import Account
 from .occluders import from_all_sides, near_starts
-from .photo import COLOURS, OF_ANOTHER, check_photo, on_photo
+from .photo import (
+    COLOURS,
+    OF_ANOTHER,
+    PHOTO_PX,
+    SURE,
+    Judgement,
+    PhotoResult,
+    check_photo,
+    on_photo,
+)
 from .places import Free, settled, shelf, tilted, transported, turned_about
 from .refine import Candidate, Refiner
 from .result import Context, Fit, Progress, progress_at, report, with_modes
@@ -109,7 +118,8 @@ def fit_camera(
       the mask's camera on it: colours beside the outline show the object's share of each pixel. The
       last sentence of `Fit.weak` says by how many px photo and mask disagree, and whether the
       camera is still the mask's: if colours show too little, or the mask's edge fits the scene
-      better. `rms` and `iou` are always the mask's.
+      better. `rms` and `iou` are always the mask's. Of `modes` those are left that the photo does
+      not rule out. If it rules out the camera of a mask that errs by no pixel: "misfit".
 
     Levenberg-Marquardt (optimistix) minimises the weighted squared difference of exact coverage and
     target over the camera's pose and log focal length. Images grow from about 16 pixels across the
@@ -386,7 +396,7 @@ def _fit_of(
     settings: Settings,
 ) -> Fit:
     """The modes as a user reads them, from anywhere or from a start."""
-    best, photo, freed = modes[0], settings.photo, solver.freed
+    freed, photo = solver.freed, settings.photo
 
     def reported(mode: _Mode, kind: Kind, free: list[Free]) -> Fit:
         about = [transported(solver, mode.found, x) for x in free]
@@ -397,17 +407,22 @@ def _fit_of(
         context = Context(kind, settings.bounds, about, mode.errors, astray, hidden, *known)
         return report(mask.camera, mode.found, mode.over_all, freed, context)
 
-    said, note = None, None
-    if photo is not None:
-        said, note = on_photo(solver, mask, photo, best.found)
-    fit, *others = (reported(mode, solver.kind, free) for mode in modes)
-    if said is not None:
+    best, seen = modes[0], None
+    if photo is None:
+        fit, *others = (reported(mode, solver.kind, free) for mode in modes)
+    else:
+        shown = _shown(solver, mask, photo, modes)
+        best, seen, said = shown[0]
         open_still = [f for f in free if np.isinf(f.ahead)]
-        fit = reported(_Mode(said.found, said.sums, said.errors), COLOURS, open_still)
-        if _errs_nowhere(solver, best):
+        fit, *others = (
+            reported(mode, solver.kind, free)
+            if seen is None
+            else reported(_Mode(*seen), COLOURS, open_still)
+            for mode, seen, _ in shown
+        )
+        if seen is not None and _errs_nowhere(solver, best):
             fit = fit._replace(status="misfit", weak=(*fit.weak, OF_ANOTHER))
-    if note is not None:
-        fit = fit._replace(weak=(*fit.weak, note))
+        fit = fit._replace(weak=(*fit.weak, said.words))
     if edge is not None and best.account is not None:
         points, words = best.account.words(edge, mask.camera.H)
         doubts = _doubts(best, best.account, len(points) > 0 and from_anywhere)
@@ -415,7 +430,23 @@ def _fit_of(
         unbelieved = points if len(points) else None
         fit = fit._replace(unbelieved=unbelieved, status=status, weak=(*fit.weak, *words, *doubts))
     turns = [f.axis for f in free if f.axis is not None and np.isinf(f.ahead)]
-    return with_modes(fit, other_places(fit, others, turns, minima=best.covariance is None))
+    return with_modes(
+        fit, other_places(fit, others, turns, minima=best.covariance is None and seen is None)
+    )
+
+
+def _shown(
+    solver: Solver, mask: Mask, photo: np.ndarray, modes: list[_Mode]
+) -> list[tuple[_Mode, PhotoResult | None, Judgement]]:
+    """The modes with what a photo gives, and says, there. Where it is better founded than the mask
+    at the likeliest, those alone that it does not contradict."""
+    first = on_photo(solver, mask, photo, modes[0].found)
+    if first[0] is None:
+        return [(mode, *first) for mode in modes]
+    others = [(mode, *on_photo(solver, mask, photo, mode.found)) for mode in modes[1:]]
+    shown = [(modes[0], *first), *others]
+    least = SURE * max(min(said.off for *_, said in shown), PHOTO_PX)
+    return [x for x in shown if x[-1].off <= least]
 
 
 def _errs_nowhere(solver: Solver, mode: _Mode) -> bool:

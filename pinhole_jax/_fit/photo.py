@@ -85,6 +85,15 @@ class PhotoResult(NamedTuple):
     errors: OutlineErrors | None
 
 
+class Judgement(NamedTuple):
+    """How far a photo's edge is `off` the outline at best (rms, px), whether the photo is better
+    founded than the mask, and `words` on it."""
+
+    off: float
+    is_better: bool
+    words: str
+
+
 def check_photo(photo: Any, W: int, H: int) -> np.ndarray:
     """A photo (H, W, 3) of type uint8 or float, or raise ValueError."""
     expected = f"the mask's size and three colours, shape (H, W, 3) = ({H}, {W}, 3)"
@@ -114,9 +123,9 @@ def check_photo(photo: Any, W: int, H: int) -> np.ndarray:
 
 def on_photo(
     solver: Solver, mask: Mask, photo: np.ndarray, found: Solution
-) -> tuple[PhotoResult | None, str]:
-    """The camera that was found for a mask, refined on a photo; None where the mask's stays. A note
-    on the photo."""
+) -> tuple[PhotoResult | None, Judgement]:
+    """The camera that was found for a mask, refined on a photo; None where the mask's stays. What
+    is to be said of the photo."""
     begin, px = solver.look(found.camera, solver.finest), FINE_PX[solver.dtype]
 
     def outline(there: tuple[Solver, Solution], k: int) -> Outline:
@@ -149,9 +158,9 @@ def refine_on_photos(
     photos: Photos,
     px: float,
     tell: Callable[[str], None] = lambda line: None,
-) -> tuple[V, Photos, dict[int, str]]:
-    """Where those photos lead that are better founded than their masks, these photos, and a note on
-    each of all. Steps of `px` are negligible at last.
+) -> tuple[V, Photos, dict[int, Judgement]]:
+    """Where those photos lead that are better founded than their masks, these photos, and what is
+    to be said of each of all. Steps of `px` are negligible at last.
 
     - `begin`: where cameras are; `outline`: of a view there, on the finest level.
     - `descended`: where views lead that are fitted to images, over levels that are numbered from
@@ -164,7 +173,7 @@ def refine_on_photos(
     }
     together = len(photos) > 1 and max(shares.values()) >= LEAST_RESOLVED
     least = LEAST_BESIDE if together else LEAST_RESOLVED
-    notes = {k: _unresolved(share) for k, share in shares.items() if not share >= least}
+    notes = {k: _unresolved(share, np.inf) for k, share in shares.items() if not share >= least}
     photos = {k: photo for k, photo in photos.items() if k not in notes}
     while photos:
         there, now = begin, first
@@ -176,10 +185,8 @@ def refine_on_photos(
             there = descended(there, images, depths, *ends)
             now = {k: outline(there, k) for k in photos}
             tell(f"{len(photos)} photos: round {number + 1} of {len(ROUNDS)}")
-        wrong = {}
-        for k, photo in photos.items():
-            off, notes[k] = _judged(masks[k], photo, first[k], now[k], least)
-            wrong |= {} if off is None else {k: off}
+        notes |= {k: _judged(masks[k], x, first[k], now[k], least) for k, x in photos.items()}
+        wrong = {k: notes[k].off for k in photos if not notes[k].is_better}
         if not wrong:
             return there, photos, notes
         # (Photos of something else pull at the others: these may be right without them.)
@@ -253,30 +260,33 @@ class Outline(NamedTuple):
 
 def _judged(
     mask: Mask, photo: np.ndarray, before: Outline, now: Outline, least: float
-) -> tuple[float | None, str]:
-    """The distance of the photo's edge from the outline (px) where the mask is better founded, else
-    None; and a note. Colours are to show a share `least` of the outline."""
+) -> Judgement:
+    """What is to be said of a photo by the outline before, and where it leads. Colours are to show
+    a share `least` of that."""
     read, first = (x.read(photo, mask, ROUNDS[-1]) for x in (now, before))
     own, resolved = now.off(read), now.resolved(read)
     if not resolved >= least:
-        return own, _unresolved(resolved)
+        return _unresolved(resolved, own)
     bias, apart = now.of_mask(mask)
     of_mask, at_first = before.of_mask(mask)[1], before.off(first)
     better = of_mask > MASK_PX and own < of_mask
     if own < STRANGE_PX and (better or at_first > SURE * max(own, PHOTO_PX)):
         size = "large" if bias > 0 else "small"
-        return None, (
+        words = (
             f"fitted to the photo: its edge lies within {own:.2f} px (rms) of the outline; the mask"
             f" is {apart:.2f} px off, on average {abs(bias):.2f} px too {size}"
         )
-    return own, (
+        return Judgement(own, True, words)
+    words = (
         f"fitted to the mask: its edge lies within {of_mask:.2f} px (rms) of the outline; the"
         f" photo's is {at_first:.2f} px off, at best {own:.2f} px, which is no better"
     )
+    return Judgement(own, False, words)
 
 
-def _unresolved(resolved: float) -> str:
-    return (
-        f"fitted to the mask: the photo shows the object's edge along only {resolved:.0%} of the"
+def _unresolved(share: float, off: float) -> Judgement:
+    words = (
+        f"fitted to the mask: the photo shows the object's edge along only {share:.0%} of the"
         " outline"
     )
+    return Judgement(off, False, words)

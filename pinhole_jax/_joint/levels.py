@@ -83,7 +83,7 @@ def agreement_on_photos(
         own = replace(own, weights=counts(trusted))
         end = end.then(own.descend(end.state, own.max_steps, px))
         found = agree(own, end, px, own.weights)
-    return found, tuple(f"view {k}: {notes[k]}" for k in sorted(notes))
+    return found, tuple(f"view {k}: {notes[k].words}" for k in sorted(notes))
 
 
 class Outcome(NamedTuple):
