@@ -13,20 +13,21 @@ from pinhole_jax import shapes
 from pinhole_jax._camera.poses import exponential
 from pinhole_jax._joint.agreement import Sandwich
 from pinhole_jax._joint.door import MANY_VIEWS, joint_problem
-from pinhole_jax._solver.least_squares import Rows, held_to_the_end, solve
+from pinhole_jax._solver.least_squares import Rows, blocks_of, solve
 
 
 def test_elimination_and_its_covariances_equal_the_dense_ones():
     """Two views have a camera in common, all have the last numbers; of one, something is known."""
     random, size, parts = np.random.default_rng(0), 9, []
+    owner = np.array([0, 0, 1, 1, 2, 2, -1, -1, -1])
     for own, number in (([0, 1], 7), ([0, 1], 4), ([2, 3], 7), ([2], 1), ([4, 5], 7)):
         columns = np.array([6, *own, 7, 8] if number > 1 else own)
         rows, left = random.normal(size=(number, len(columns))), random.normal(size=number)
-        parts.append(Rows(rows, left, columns, np.isin(columns, own)))
+        parts.append(Rows(rows, left, columns))
     dense = [part.rows @ np.eye(size)[part.columns] for part in parts]
     matrix, left = np.concatenate(dense), np.concatenate([part.left for part in parts])
     for damping in (np.linspace(0.1, 2, size), np.zeros(size)):
-        found, normal = solve(parts, size, damping), matrix.T @ matrix + np.diag(damping**2)
+        found, normal = solve(parts, owner, damping), matrix.T @ matrix + np.diag(damping**2)
         assert (found.shared.tolist(), len(found.own)) == ([6, 7, 8], 3)
         assert_allclose(normal @ found.x, -matrix.T @ left, atol=1e-11)
     # Gradients err as they do: each part's by a covariance of its own.
@@ -165,8 +166,8 @@ def test_mesh_with_unshared_vertices_warns():
 def test_elimination_order_makes_the_least_work():
     """Cameras that share a lens; pictures of one part each, by both eyes of a head."""
     cameras = [[k, 50] for k in range(50)]
-    held = held_to_the_end(cameras, [6] * 50 + [1])
-    assert np.flatnonzero(held).tolist() == [50]
+    blocks = blocks_of(cameras, [6] * 50 + [1])
+    assert (np.flatnonzero(blocks < 0).tolist(), len({*blocks})) == ([50], 51)
     frames = [[eye, 2 + k] for k in range(50) for eye in (0, 1)]
-    assert np.flatnonzero(held_to_the_end(frames, [6] * 52)).tolist() == [0, 1]
-    assert np.all(held_to_the_end([[0, 1], [0, 1]], [6, 1]))
+    assert np.flatnonzero(blocks_of(frames, [6] * 52) < 0).tolist() == [0, 1]
+    assert np.all(blocks_of([[0, 1], [0, 1]], [6, 1]) < 0)

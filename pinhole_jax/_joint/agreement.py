@@ -26,13 +26,12 @@ from .._fit.result import Context, gradients
 from .._outline.outline_errors import OutlineErrors
 from .._outline.statistics import err_alike, mask_errors
 from .._outline.stretches import Blocks
-from .._solver.least_squares import LinearSolution, Rows, solve
+from .._solver.least_squares import LinearSolution
 from .._solver.parameters import components
-from .._solver.priors import contradictions
 from .._solver.problem import FINE_PX, UNIT_PX
 from .._solver.solver import Solver
 from .._solver.uncertainty import BLIND
-from .system import LEAST_DAMPING, Descent, JointPrior, JointProblem, Part, ViewRows
+from .system import LEAST_DAMPING, Descent, JointProblem, Minimum, Part, ViewRows
 
 #: Degrees of freedom of the t distribution of views' residuals: a few bad views count for little.
 #: (With 1 a view 3 times as far off as the middle one has a fifth of the weight, one 10 times a
@@ -57,27 +56,23 @@ HARDLY = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Agreement:
-    """Where the weighed views' squares are least, and how well these agree.
+class Agreement(Minimum):
+    """Where the weighed views' squares are least (`problem.weights`, at most 1), and how well these
+    agree.
 
-    - `problem`, with the weights of views (V,), at most 1; `descent`: the state, and views there.
     - `gradients`: the covariance of each view's J^T r.
     - `excess`: how many times as far apart the views are as their masks' errors say; at least 1.
     - `freedom`: how many numbers say so.
     - `off` (V,): each view's residuals beside the middle one's.
     - `errors`: how each mask's outline errs, None where it is exact, and explained.
-    - `noise`: what the rows of priors err by.
     - `sigma` (V,): how surely each view disagrees with the others, as of one normal number.
     """
 
-    problem: JointProblem
-    descent: Descent
     gradients: list[np.ndarray]
     excess: float
     freedom: int
     off: np.ndarray
     errors: list[OutlineErrors | None]
-    noise: float
     sigma: np.ndarray
 
     def without(self, view: int) -> "Agreement":
@@ -92,29 +87,6 @@ class Agreement:
         solver, view = self.problem.eyes[k].solver, self.descent.seen[k].view
         matches = not solver.kind.exact or solver.kind.explains(view.touched_misfit, False)
         return matches and not err_alike(solver, view)
-
-    @cached_property
-    def parts(self) -> list[Rows]:
-        """The rows of the views, then those of priors, blind to what is at an end of its bounds."""
-        parts = self.problem.parts(self.descent, self.noise)
-        held = self.problem.ways_out(self.descent) != 0
-        return [part.without(held) for part in parts]
-
-    @property
-    def prior_rows(self) -> list[Rows]:
-        """The rows of priors, which err by `noise`."""
-        return self.parts[len(self.off) :]
-
-    @cached_property
-    def solved(self) -> LinearSolution:
-        """What determines the unknowns."""
-        return solve(self.parts, self.problem.size, np.zeros(self.problem.size))
-
-    @cached_property
-    def contradictions(self) -> tuple[str, ...]:
-        """Sentences on priors that the masks contradict."""
-        priors = self.problem.priors
-        return contradicted(priors, self.prior_rows, self.solved, self.noise, "the masks say")
 
     @property
     def wider(self) -> float:
@@ -242,7 +214,8 @@ class Sandwich:
         """The covariance (p, p) of some unknowns."""
         shared = self._solved.root(place, -1)
         result = shared @ self._shared @ shared.T
-        for block in self._solved.owners(place):
+        owners = np.unique(self._solved.owner[place]).tolist()
+        for block in (x for x in owners if x >= 0):
             whole, known = self._solved.root(place, block), self._of_block[block]
             s = shared.shape[1]
             result += whole @ known @ whole.T - shared @ known[:s, :s] @ shared.T
@@ -264,17 +237,6 @@ def width_by_few(freedom: float) -> float:
     from scipy.stats import t
 
     return float(t.ppf(0.975, freedom)) / NORMAL_95
-
-
-def contradicted(
-    priors: Sequence[JointPrior], rows: list[Rows], solved: LinearSolution, noise: float, by: str
-) -> tuple[str, ...]:
-    """A sentence on each prior that lies too far from what else is known `by` the views, by the
-    priors' rows where all is `solved`."""
-    roots = [part.rows @ solved.root(part.columns) for part in rows]
-    off = np.array([part.left[0] for part in rows]) / noise
-    labels = [prior.label for prior in priors]
-    return contradictions(labels, off, np.array([np.sum(x**2) for x in roots]), by)
 
 
 def agree(

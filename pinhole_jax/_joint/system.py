@@ -14,10 +14,11 @@ import numpy as np
 from .._camera.camera import Camera
 from .._camera.poses import Pose, adjoint, exponential, inverse
 from .._numerics.threads import in_threads
-from .._solver.least_squares import Rows, column_norms, held_to_the_end, slope_of, solve
+from .._solver.least_squares import LinearSolution, Rows, blocks_of, slope_of, solve, total
 from .._solver.looks import View
 from .._solver.moves import Move, moved
 from .._solver.parameters import LABELS, PARAMETERS, labels_of
+from .._solver.priors import contradictions
 from .._solver.problem import COARSE_PX, COSINE, FINE_PX, UNIT_PX
 from .views import (
     MOTIONS,
@@ -158,10 +159,10 @@ class JointProblem:
         return {(u.name, u.kind): k for k, unknowns in each for u in unknowns}
 
     @cached_property
-    def _own(self) -> np.ndarray:
-        """Which of the numbers (size,) are eliminated before others."""
+    def _owner(self) -> np.ndarray:
+        """The block that each of the numbers (size,) is eliminated with, -1 of those that stay."""
         sizes = [u.size for u in self.unknowns]
-        return np.repeat(np.logical_not(held_to_the_end(self._seen, sizes)), sizes)
+        return np.repeat(blocks_of(self._seen, sizes), sizes)
 
     @property
     def size(self) -> int:
@@ -325,7 +326,7 @@ class JointProblem:
             outward = self.ways_out(here) * slope_of(parts, self.size) < 0
             parts = [part.without(outward) for part in parts]
             size = np.maximum(size, self.sizes(here, parts))
-            x = solve(parts, self.size, damping**0.5 * size).x
+            x = self.solved(parts, damping**0.5 * size).x
             moved = self.moved(here, x)
             change = sum(float(np.sum((p.rows @ x[p.columns]) ** 2)) for p in parts)
             there = self.stay(self.stepped(here.state, x))
@@ -337,6 +338,10 @@ class JointProblem:
             ended = moved < px / UNIT_PX or change <= COSINE[self.dtype] ** 2 * squares
         way = LevelEnd(state, self.depth, 0), LevelEnd(here.state, self.depth, steps)
         return Descent(here.state, here.seen, squares, steps, ended, way)
+
+    def solved(self, parts: list[Rows], damping: float | np.ndarray = 0.0) -> LinearSolution:
+        """What is solved by rows, and `damping` (size,) times each number."""
+        return solve(parts, self._owner, np.broadcast_to(damping, self.size))
 
     def stay(self, state: State) -> Descent:
         """A descent of no steps."""
@@ -376,9 +381,8 @@ class JointProblem:
         """Rows of the views, and of priors."""
         views = []
         for k, (view, moves) in enumerate(here.seen):
-            rows, columns = np.asarray(view.triangle, float) @ moves, self.columns(k)
-            part = Rows(rows, np.asarray(view.along, float), columns, self._own[columns])
-            views.append(part.times(self.weights[k] ** 0.5))
+            rows, left = np.asarray(view.triangle, float) @ moves, np.asarray(view.along, float)
+            views.append(Rows(rows, left, self.columns(k)).times(self.weights[k] ** 0.5))
         return [*views, *self.prior_rows(here, noise)]
 
     def prior_rows(self, here: Descent, noise: float) -> list[Rows]:
@@ -386,15 +390,15 @@ class JointProblem:
         result = []
         for part, label, mean, std in self.priors:
             values, by_unknown = self.report(part, here)
-            which, place = [part.labels.index(label)], self._places[part[:2]]
-            rows, left = by_unknown[which] / std, (values[which] - mean) / std
-            result.append(Rows(rows, left, place, self._own[place]).times(noise))
+            which = [part.labels.index(label)]
+            rows = Rows(by_unknown[which], values[which] - mean, self._places[part[:2]])
+            result.append(rows.times(noise / std))
         return result
 
     def sizes(self, here: Descent, parts: list[Rows]) -> np.ndarray:
         """How much each unknown number shows."""
         del here
-        return column_norms(parts, self.size)
+        return total(parts, self.size, lambda part: np.sum(part.rows**2, axis=0)) ** 0.5
 
     def ways_out(self, here: Descent) -> np.ndarray:
         """The way in which numbers (size,) would leave their bounds: 1 or -1 at an end, else 0."""
@@ -434,3 +438,40 @@ class JointProblem:
         """The largest move that a step makes in any view, in its solver's units."""
         moves = (s.moves @ x[self.columns(k)] for k, s in enumerate(here.seen))
         return max(float(np.max(np.abs(y), initial=0)) for y in moves)
+
+
+@dataclass(frozen=True, eq=False)
+class Minimum:
+    """Where a problem's squares are least, and what determines the unknowns there.
+
+    - `descent`: the state, and views there.
+    - `noise`: what the rows of priors err by.
+    """
+
+    problem: JointProblem
+    descent: Descent
+    noise: float
+
+    @cached_property
+    def parts(self) -> list[Rows]:
+        """The rows of the views, then those of priors, blind to what is at an end of its bounds."""
+        parts = self.problem.parts(self.descent, self.noise)
+        held = self.problem.ways_out(self.descent) != 0
+        return [part.without(held) for part in parts]
+
+    @property
+    def prior_rows(self) -> list[Rows]:
+        """The rows of priors, which err by `noise`."""
+        return self.parts[len(self.descent.seen) :]
+
+    @cached_property
+    def solved(self) -> LinearSolution:
+        """What determines the unknowns."""
+        return self.problem.solved(self.parts)
+
+    def contradictions(self, data: str) -> tuple[str, ...]:
+        """A sentence on each prior that lies too far from what else is known by the views' data."""
+        roots = [part.rows @ self.solved.root(part.columns) for part in self.prior_rows]
+        off = np.array([part.left[0] for part in self.prior_rows]) / self.noise
+        labels = [prior.label for prior in self.problem.priors]
+        return contradictions(labels, off, np.array([np.sum(x**2) for x in roots]), f"{data} say")

@@ -18,14 +18,13 @@ from .._fit.result import (
     CameraResult,
     Progress,
     at_rest,
+    held_words,
     to_units,
     uncertain_rotation,
     with_modes,
-    without_ended,
 )
-from .._joint.agreement import contradicted
 from .._joint.door import bounds_by_name, owners_of, priors_of, with_unknowns
-from .._joint.system import Descent
+from .._joint.system import Descent, Minimum
 from .._joint.views import JointView, State
 from .._numerics.arrays import (
     ArrayLike,
@@ -38,7 +37,7 @@ from .._numerics.arrays import (
 from .._numerics.pointwise import room
 from .._rules import RULES
 from .._scene.scene import Scene
-from .._solver.least_squares import LinearSolution, slope_of, solve
+from .._solver.least_squares import slope_of
 from .._solver.moves import canonical, on_film
 from .._solver.parameters import components, labels_of
 from .._solver.priors import Pair
@@ -311,14 +310,13 @@ def _reports(found: PointDescent, weights: np.ndarray) -> tuple[PointFit, ...]:
     problem, end = found.problem, found.end
     if not np.isfinite(end.squares):
         return tuple(_without_answer(problem, k, end) for k in range(len(problem.eyes)))
-    solved, noise = _solved(problem, end), problem.shown(end)
-    beyond = beyond_noise(solved[0], len(end.seen), noise)
+    here, noise = _minimum(problem, end), problem.shown(end)
+    beyond = beyond_noise(here.solved, len(end.seen), noise)
     spare = () if noise.freedom > 0 else (_none_left_over(problem),)
     fits = []
     for k, matches in enumerate(problem.matches):
-        fit = _report(found, k, end, solved, beyond)
-        there = [problem.stay(place.state) for place in found.others[k]]
-        modes = [_report(found, k, place, _solved(problem, place), beyond) for place in there]
+        others = (_minimum(problem, problem.stay(place.state)) for place in found.others[k])
+        fit, *modes = (_report(found, k, x, beyond) for x in (here, *others))
         given = int(np.sum(weights[k] > 0))
         if left_out := given - len(matches.counts):
             words = f"{left_out} of {given} points are far from where they are seen, and left out"
@@ -332,17 +330,9 @@ def _reports(found: PointDescent, weights: np.ndarray) -> tuple[PointFit, ...]:
     return tuple(fits)
 
 
-def _solved(
-    problem: PointProblem, end: Descent
-) -> tuple[LinearSolution, np.ndarray, tuple[str, ...]]:
-    """What determines the unknowns at the end of a descent, the squares' slope (size,), and
-    sentences on priors that the points contradict."""
-    noise = problem.noise(end)
-    parts = problem.parts(end, noise)
-    solved = solve(parts, problem.size, np.zeros(problem.size))
-    rows = parts[len(end.seen) :]
-    against = contradicted(problem.priors, rows, solved, noise, "the points say")
-    return solved, slope_of(parts, problem.size), against
+def _minimum(problem: PointProblem, end: Descent) -> Minimum:
+    """What determines the unknowns at the end of a descent."""
+    return Minimum(problem, end, problem.noise(end))
 
 
 def _none_left_over(problem: PointProblem) -> str:
@@ -365,28 +355,21 @@ def _without_answer(problem: PointProblem, k: int, end: Descent) -> PointFit:
     return PointFit(camera=camera, status="non_finite", **known)
 
 
-def _report(
-    found: PointDescent,
-    k: int,
-    end: Descent,
-    solved: tuple[LinearSolution, np.ndarray, tuple[str, ...]],
-    beyond: np.ndarray,
-) -> PointFit:
-    """The fit of a view at the end of a descent, where all views are `solved`; `beyond` is the root
-    of the shared unknowns' covariance beyond that of independent errors."""
-    problem, matches = found.problem, found.problem.matches[k]
-    noise = problem.shown(end)
-    at, film = problem.eyes[k].canonical(end.state), problem.cameras[str(k)]
+def _report(found: PointDescent, k: int, here: Minimum, beyond: np.ndarray) -> PointFit:
+    """The fit of a view where all views' squares are least; `beyond` is the root of the shared
+    unknowns' covariance beyond that of independent errors."""
+    problem, end, known = found.problem, here.descent, here.solved
+    eye, matches, noise = problem.eyes[k], problem.matches[k], problem.shown(end)
+    at, film = eye.canonical(end.state), problem.cameras[str(k)]
     camera, blind = on_film(at, film), BLIND[problem.dtype]
     view, freed, place = end.seen[k].view, matches.freed, problem.columns(k)
     labels, scale = labels_of(freed), np.asarray(view.scale, float)
     reported = to_units(view.to_reported, freed, camera)
     # (R by moves of this view, all others eliminated.)
-    known, slope, against = solved
     triangle = np.linalg.pinv(known.root(place)) * scale
+    slope = slope_of(here.parts, problem.size)[place]
     # (As NumPy's: within `grad` JAX's would be traced, and no report could look at them.)
-    along = np.linalg.lstsq(triangle.T, slope[place] * scale, rcond=None)[0]
-    triangle, ended = without_ended(triangle, at, freed, matches.bounds)
+    along = np.linalg.lstsq(triangle.T, slope * scale, rcond=None)[0]
     in_words = partial(moves_in_words, components(freed), axes_of(camera))
     unseen, weak = weak_directions(triangle, in_words, blind)
     spread = reported / scale @ known.follows[place] @ beyond
@@ -404,7 +387,7 @@ def _report(
         words = (*words, ALIKE)
     if unseen:
         status = "rank_deficient"
-    if against:
+    if against := here.contradictions(PointFit.data):
         status, words = "misfit", against
     if rms > found.limits[k]:
         status = "misfit"
@@ -420,7 +403,7 @@ def _report(
         names=labels,
         covariance=cov,
         rms_px=rms,
-        weak=(*weak, *ended, *words),
+        weak=(*weak, *held_words(eye.ended(end.state)), *words),
     )
 
 

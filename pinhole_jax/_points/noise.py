@@ -75,9 +75,9 @@ def beyond_noise(solved: LinearSolution, views: int, noise: Noise) -> np.ndarray
     if not (nothing.size and 0 < noise.shown < np.inf and noise.freedom < np.inf):
         return nothing
     back, pulls, shares, against = np.linalg.pinv(solved.triangle), [], [], []
-    for rows in solved.reduced[:views]:
-        left = rows[:, :-1] @ solved.x[solved.shared] + rows[:, -1]
-        by_shared = rows[:, :-1] @ back  # moves whose covariance is 1
+    for part in solved.reduced[:views]:
+        left = part.rows @ solved.x[solved.shared] + part.left
+        by_shared = part.rows @ back  # moves whose covariance is 1
         share, vectors = np.linalg.eigh(by_shared.T @ by_shared)
         counts = share < 1 - OTHERS
         share = share * counts

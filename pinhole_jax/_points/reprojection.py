@@ -233,10 +233,10 @@ class PointProblem(JointProblem):
         return Noise(squares_of(here) / (count - self.size), self.left_over)
 
     @cached_property
-    def _own(self) -> np.ndarray:
-        """Which of the numbers (size,) one view alone depends on."""
-        columns = np.concatenate([*map(self.columns, range(len(self.eyes)))])
-        return np.bincount(columns, minlength=self.size) == 1
+    def _owner(self) -> np.ndarray:
+        """The view that alone depends on each of the numbers (size,), -1 where several do."""
+        owners = [-1 if len(u.cameras) > 1 else int(u.name) for u in self.unknowns]
+        return np.repeat(owners, [u.size for u in self.unknowns])
 
     def noise(self, here: Descent) -> float:
         """What rows of priors err by: as points do (px)."""

@@ -6,19 +6,19 @@ linear in the parts, and no matrix over all of them is ever made (nor normal equ
 lose half of the digits).
 """
 
+from collections.abc import Callable
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 
 
 class Rows(NamedTuple):
-    """Residuals (m,) `rows x[columns] + left` of one part; `own` (k,) of the unknowns are to be
-    eliminated, with the parts that depend on these, too."""
+    """Residuals (m,) `rows x[columns] + left` of one part."""
 
     rows: np.ndarray
     left: np.ndarray
     columns: np.ndarray
-    own: np.ndarray
 
     @property
     def squares(self) -> float:
@@ -34,51 +34,45 @@ class Rows(NamedTuple):
         return self._replace(rows=factor * self.rows, left=factor * self.left)
 
 
+def total(parts: list[Rows], size: int, number: Callable[[Rows], np.ndarray]) -> np.ndarray:
+    """The sum (size,) of a number that each part has for each of its columns."""
+    result = np.zeros(size)
+    for part in parts:
+        np.add.at(result, part.columns, number(part))
+    return result
+
+
 def slope_of(parts: list[Rows], size: int) -> np.ndarray:
     """Half the squares' derivative (size,)."""
-    total = np.zeros(size)
-    for part in parts:
-        np.add.at(total, part.columns, part.left @ part.rows)
-    return total
+    return total(parts, size, lambda part: part.left @ part.rows)
 
 
-def column_norms(parts: list[Rows], size: int) -> np.ndarray:
-    """The sensitivity of the rows to each unknown (size,)."""
-    total = np.zeros(size)
-    for part in parts:
-        np.add.at(total, part.columns, np.sum(part.rows**2, axis=0))
-    return total**0.5
-
-
-def held_to_the_end(of: list[list[int]], sizes: list[int]) -> np.ndarray:
-    """Return which unknowns (of these `sizes`) stay where the others are eliminated, given those
-    that each view depends on: what most views depend on, as many as make the least work."""
+def blocks_of(views: list[list[int]], sizes: list[int]) -> np.ndarray:
+    """Return the block that each unknown (of these `sizes`) is eliminated with, given those that
+    each view depends on; -1 for what stays: what most views depend on, as many as make the least
+    work."""
     size = np.array(sizes)
-    seen_by = np.bincount([j for some in of for j in some], minlength=len(size))
-    best, least = np.ones(len(size), bool), np.inf
+    seen_by = np.bincount([j for some in views for j in some], minlength=len(size))
+    best, least = np.full(len(size), -1), np.inf
     for count in np.unique(seen_by):
         held = seen_by >= count
-        block = 1 + _together([[j for j in some if not held[j]] for some in of], len(size))
-        within = np.bincount(block, np.where(held, 0, size), minlength=len(of) + 1)
-        views = [within[max(block[some], default=0)] for some in of]
+        block = _together([[j for j in some if not held[j]] for some in views], len(size))
+        within = np.bincount(block, np.where(held, 0, size))
         rest = float(np.sum(size[held]))
-        work = np.sum((np.array(views) + rest) ** 2) + len(of) * rest**3
+        work = sum((np.max(within[block[some]]) + rest) ** 2 + rest**3 for some in views)
         if work < least:
-            best, least = held, work
+            best, least = np.where(held, -1, block), work
     return best
 
 
-def _together(of: list[list[int]], size: int) -> np.ndarray:
-    """Return for each number (size,) which block it is of, given lists of some that are of one; -1
-    for what is in no list."""
-    block = np.full(size, -1)
-    for k, some in enumerate(of):
-        known = np.unique(block[some])
-        known = known[known >= 0]
-        if len(known) > 1:
-            block[np.isin(block, known)] = known[0]
-        block[some] = known[0] if len(known) else k
-    return block
+def _together(given: list[list[int]], size: int) -> np.ndarray:
+    """Return for each number (size,) which block it is of, given lists of some that are of one."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    pairs = np.array([pair for some in given for pair in pairwise(some)], int).reshape(-1, 2)
+    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), (size, size))
+    return connected_components(graph, directed=False)[1]
 
 
 class LinearSolution(NamedTuple):
@@ -88,7 +82,7 @@ class LinearSolution(NamedTuple):
     - `follows` (size, s): the derivative of all unknowns by these.
     - `own`: the unknowns of each block of views, their triangle, and its inverse.
     - `owner` (size,): the number of the block that owns an unknown, -1 of shared ones.
-    - `reduced`: the rows by shared unknowns that each block leaves, and their residuals.
+    - `reduced`: the rows by shared unknowns that each block leaves.
     """
 
     x: np.ndarray
@@ -97,7 +91,7 @@ class LinearSolution(NamedTuple):
     follows: np.ndarray
     own: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]]
     owner: np.ndarray
-    reduced: list[np.ndarray]
+    reduced: list[Rows]
 
     def root(self, place: np.ndarray, block: int | None = None) -> np.ndarray:
         """A root of the inverse of the normal matrix between unknowns (p,): it, times its
@@ -119,10 +113,6 @@ class LinearSolution(NamedTuple):
             directions[-1][own] = hidden
         return np.hstack(directions)
 
-    def owners(self, place: np.ndarray) -> list[int]:
-        """Return the blocks that own some of these unknowns."""
-        return [int(block) for block in np.unique(self.owner[place]) if block >= 0]
-
 
 def _null(triangle: np.ndarray, blind: float) -> np.ndarray:
     """Return directions (n, d), of length 1, that a triangle does not see, whatever the units."""
@@ -135,45 +125,36 @@ def _null(triangle: np.ndarray, blind: float) -> np.ndarray:
     return (hidden / np.linalg.norm(hidden / size, axis=1, keepdims=True) / size).T
 
 
-def solve(parts: list[Rows], size: int, damping: np.ndarray) -> LinearSolution:
-    """Return the x (size,) of least squares, `damping` (size,) times x among the residuals."""
-    owner = _together([p.columns[p.own].tolist() for p in parts], size)
-    shared = np.flatnonzero(owner < 0)
+def solve(parts: list[Rows], owner: np.ndarray, damping: np.ndarray) -> LinearSolution:
+    """Return the x (size,) of least squares, `damping` (size,) times x among the residuals; each
+    block eliminates the unknowns that it owns (-1: none does)."""
+    size, shared = len(owner), np.flatnonzero(owner < 0)
     blocks: dict[int, list[Rows]] = {}
     for k, part in enumerate(parts):
-        block = int(owner[part.columns[part.own][0]]) if np.any(part.own) else -2 - k
-        blocks.setdefault(block, []).append(part)
+        block = int(np.max(owner[part.columns]))
+        blocks.setdefault(-2 - k if block < 0 else block, []).append(part)
     x, owns, follows = np.zeros(size), {}, np.zeros((size, len(shared)))
     follows[shared] = np.eye(len(shared))
     reduced = []
     for block, some in blocks.items():
         own = np.flatnonzero(owner == block)
-        r = _eliminated(some, own, shared, damping[own])
-        m = len(own)
-        reduced.append(r[m:, m:])
+        r, m = _triangle(some, np.append(own, shared), damping[own]), len(own)
+        reduced.append(Rows(r[m:, m:-1], r[m:, -1], shared))
         if m:
             owns[block] = own, r[:m, :m], np.linalg.pinv(r[:m, :m])
             solved = -owns[block][2] @ r[:m, m:]
             follows[own], x[own] = solved[:, :-1], solved[:, -1]
-    damped = np.column_stack([np.diag(damping[shared]), 0 * shared])
-    r: Any = np.linalg.qr(np.concatenate([damped, *reduced]), mode="r")[: len(shared)]
+    r = _triangle(reduced, shared, damping[shared])[: len(shared)]
     x += follows @ (-np.linalg.pinv(r[:, :-1]) @ r[:, -1])
     return LinearSolution(x, shared, r[:, :-1], follows, owns, owner, reduced)
 
 
-def _eliminated(
-    parts: list[Rows], own: np.ndarray, shared: np.ndarray, damping: np.ndarray
-) -> np.ndarray:
-    """Return the triangle of some rows: columns of `own` (damped) unknowns, of shared ones, then
-    the residuals."""
-    m, s = len(own), len(shared)
-    tables = [np.column_stack([np.diag(damping), np.zeros((m, s + 1))])]
+def _triangle(parts: list[Rows], order: np.ndarray, damping: np.ndarray) -> np.ndarray:
+    """Return the triangle of some rows by unknowns in an order, of which the first are damped, then
+    of the residuals."""
+    tables = [np.eye(len(damping), len(order) + 1) * damping[:, None]]
     for part in parts:
-        table = np.zeros((len(part.left), m + s + 1))
-        table[:, np.searchsorted(own, part.columns[part.own])] = part.rows[:, part.own]
-        at = m + np.searchsorted(shared, part.columns[~part.own])
-        table[:, at] = part.rows[:, ~part.own]
-        table[:, -1] = part.left
-        tables.append(table)
+        rows = part.rows @ (part.columns[:, None] == order)
+        tables.append(np.column_stack([rows, part.left]))
     r: Any = np.linalg.qr(np.concatenate(tables), mode="r")
     return r
