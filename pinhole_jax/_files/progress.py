@@ -49,17 +49,18 @@ def listening(listener: Listener, to: ContextVar[Any] = STEPS) -> Iterator[None]
 
 @contextmanager
 def shown(
-    progress: bool | Callable[[Any], Any] | None, text: str
+    progress: bool | Callable[[Any], Any] | None, text: str, in_words: bool = False
 ) -> Iterator[Callable[[Any], Any] | None]:
     """Yield the function that a fit calls as it goes on, None where nobody listens.
 
-    A line is shown for True, and for None in a notebook. Raises ValueError for other arguments.
+    A line is shown for True, and for None in a notebook. Where progress is `in_words`, a function
+    hears what the fit says. Raises ValueError for other arguments.
     """
     if not (callable(progress) or progress in (True, False, None)):
         words = f"expected True, False, None or a function, got {progress!r}"
         raise ValueError(f"`progress`: {words}")
     if callable(progress) or progress is False:
-        with listening(lambda words: None):
+        with listening(progress if in_words and progress else str):
             yield progress or None
     elif STEPS.get() is not None:
         yield say

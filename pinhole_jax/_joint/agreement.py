@@ -148,29 +148,29 @@ class Agreement(Minimum):
         if self._pixels is None:
             return []
         rows, view, same = self._pixels
-        known = np.zeros((rows.shape[1] + 1,) * 2)
-        for k, of_view in enumerate(of_views):
-            columns = self._among_shared(k)
-            known[np.ix_(columns, columns)] += of_view
-        known, alone = known[:-1, :-1], self.problem.weights[view][:, None] * rows
+        known = sum(x.T @ of_view @ x for x, of_view in zip(self._by_shared, of_views, strict=True))
+        alone = self.problem.weights[view][:, None] * rows
         together = same.sum(alone)
-        values, vectors = np.linalg.eigh(alone.T @ alone)
-        root = vectors * np.sqrt(np.maximum(values, 0))
+        root = _root(alone.T @ alone)
         back = np.linalg.pinv(root)
-        values, vectors = np.linalg.eigh(back @ together.T @ together @ back.T)
-        grown = root @ (vectors * np.sqrt(np.maximum(values, 0))) @ vectors.T @ back
+        grown = root @ _root(back @ together.T @ together @ back) @ back
         return [(self.solved.shared, grown @ known @ grown.T - known)]
+
+    @property
+    def _by_shared(self) -> list[np.ndarray]:
+        """The unknowns of each view (k,) by the shared ones (k, s): those that it has are these."""
+        of_views = self.parts[: len(self.off)]
+        return [(part.columns[:, None] == self.solved.shared) + 0.0 for part in of_views]
 
     @cached_property
     def _pixels(self) -> tuple[np.ndarray, np.ndarray, Blocks] | None:
         """The residuals' derivatives (P, s) by shared unknowns at all views' pixels, the view that
         each is of, and which are the same; None where no camera has several views."""
         cameras = [eye.shot.camera for eye in self.problem.eyes]
-        size = len(self.solved.shared)
-        if len({*cameras}) == len(cameras) or not size:
+        if len({*cameras}) == len(cameras) or not len(self.solved.shared):
             return None
         keys, rows, view = [], [], []
-        for k, seen in enumerate(self.descent.seen):
+        for k, (seen, own) in enumerate(zip(self.descent.seen, self._by_shared, strict=True)):
             pixels, window = seen.view.pixels, seen.view.level.window()
             H, W = self.problem.eyes[k].solver.target.shape
             row, column = np.divmod(pixels.cell, window.W + 2)
@@ -180,17 +180,10 @@ class Agreement(Minimum):
                 # (All that are the same have the same bits: their geometry is.)
                 key = key * LEVELS + np.round(value * (LEVELS // 4)).astype(np.int64) % LEVELS
             keys.append(key)
-            rows.append(np.zeros((len(key), size + 1)))
-            rows[-1][:, self._among_shared(k)] = pixels.jacobian @ seen.moves
+            rows.append(pixels.jacobian @ seen.moves @ own)
             view.append(np.full(len(key), k))
         same = Blocks.alike(np.concatenate(keys)[:, None])
-        return np.concatenate(rows)[:, :size], np.concatenate(view), same
-
-    def _among_shared(self, k: int) -> np.ndarray:
-        """Which of the shared unknowns (s,) those of a view are: s of its own."""
-        shared, columns = self.solved.shared, self.problem.columns(k)
-        at = np.minimum(np.searchsorted(shared, columns), len(shared) - 1)
-        return np.where(shared[at] == columns, at, len(shared))
+        return np.concatenate(rows), np.concatenate(view), same
 
 
 class Sandwich:
@@ -220,6 +213,12 @@ class Sandwich:
             s = shared.shape[1]
             result += whole @ known @ whole.T - shared @ known[:s, :s] @ shared.T
         return result
+
+
+def _root(matrix: np.ndarray) -> np.ndarray:
+    """The root of a symmetric matrix that has no negative values but by rounding."""
+    values, vectors = np.linalg.eigh(matrix)
+    return vectors * np.sqrt(np.maximum(values, 0)) @ vectors.T
 
 
 def forget(covariance: np.ndarray, unseen: np.ndarray) -> None:

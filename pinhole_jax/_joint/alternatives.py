@@ -17,6 +17,7 @@ import numpy as np
 
 from .._camera.axes import distinct
 from .._camera.camera import Camera
+from .._files.progress import say
 from .._fit.places import Free, Places, better, separation
 from .._fit.refine import Refiner
 from .._fit.result import iou_and_rms
@@ -31,7 +32,7 @@ from .._solver.parameters import components
 from .._solver.priors import Prior
 from .._solver.solver import Solution, Solver
 from .door import share_means
-from .levels import Tell, descend
+from .levels import descend
 from .system import Descent, JointProblem
 from .views import SCALE, Eye, State, Unknown
 
@@ -84,7 +85,7 @@ class LonePose(NamedTuple):
         return [*distinct(paths, apart, camera)]
 
 
-def compare(problem: JointProblem, path: Descent, tell: Tell) -> tuple[Descent, list[LonePose]]:
+def compare(problem: JointProblem, path: Descent) -> tuple[Descent, list[LonePose]]:
     """The best path, and what explains the masks as well, a lone pose at a time; if the path saw
     nothing yet all poses are searched.
 
@@ -95,7 +96,7 @@ def compare(problem: JointProblem, path: Descent, tell: Tell) -> tuple[Descent, 
     for turn in range(ROUNDS):
         poses, moved = [], []
         for pose in _lone_poses(problem, path):
-            paths, free = _places(pose, path, start, tell)
+            paths, free = _places(pose, path, start)
             if len(pose.numbers) == len(problem.eyes):
                 return paths[0], [pose._replace(others=paths[1:], free=free)]
             others = [p for p in paths if pose.apart(p.state, path.state) > RULES.same]
@@ -104,7 +105,7 @@ def compare(problem: JointProblem, path: Descent, tell: Tell) -> tuple[Descent, 
                 moved.append((pose, best))
         if path.seen and (not moved or turn == ROUNDS - 1):
             break
-        there = descend(problem, join(problem, path.state, moved), tell, [1])
+        there = descend(problem, join(problem, path.state, moved), [1])
         if path.seen and there.squares > path.squares + _squares_alike(problem, path):
             break
         path = path.then(there) if path.seen else there
@@ -164,7 +165,7 @@ def _held(eye: Eye, state: State, view: View, unknowns: list[Unknown]) -> Prior:
 
 
 def _places(
-    pose: LonePose, path: Descent, start: State | None, tell: Tell
+    pose: LonePose, path: Descent, start: State | None
 ) -> tuple[list[Descent], Sequence[Free]]:
     """Paths of a lone pose that explain its masks as well as the best, which is the first and free
     along some directions."""
@@ -173,9 +174,9 @@ def _places(
         return _paths_of_one_view(pose, here, start)
     problem, paths = pose.problem, [here]
     if not (here.seen and _is_content(problem, here)):
-        found = _search_together(pose, here.state, tell)
+        found = _search_together(pose, here.state)
         paths = [f for f in found if f.squares < here.squares or not here.seen] or paths
-    paths += _lookalikes(pose, paths[0], tell)
+    paths += _lookalikes(pose, paths[0])
     # The first, if none is better; what explains the masks as well, each once.
     least = min(path.squares for path in paths)
     noise = sum(RULES.equal_times * eye.solver.kind.variance for eye in problem.eyes)
@@ -197,7 +198,7 @@ def _paths_of_one_view(
 
     def onward(place: Solution) -> Descent:
         there = eye.with_camera(pose.name, place.camera, here.state)
-        return descend(problem, there, silent, [1])
+        return problem.descend(there, problem.max_steps, problem.px)
 
     if not here.seen:
         places = everywhere(solver, mask, silent)
@@ -244,7 +245,7 @@ def _is_content(problem: JointProblem, path: Descent) -> bool:
     return path.ended and iou_and_rms([v.sums for v in views])[0] >= LIKELY_IOU
 
 
-def _search_together(pose: LonePose, state: State, tell: Tell) -> list[Descent]:
+def _search_together(pose: LonePose, state: State) -> list[Descent]:
     """Paths from the views' guesses that explain the masks best, the best first."""
     few = pose.problem.few(LOOKED_AT)
     coarsest, tried = replace(few, depth=few.levels), []
@@ -253,7 +254,7 @@ def _search_together(pose: LonePose, state: State, tell: Tell) -> list[Descent]:
         for guess in islice(distinct(proposed, RULES.start), TRIED):
             there = eye.with_camera(pose.name, canonical(guess), state)
             tried.append(coarsest.stay(there))
-    tell(f"{len(tried)} guesses of {len(few.eyes)} views")
+    say(f"{len(tried)} guesses of {len(few.eyes)} views")
     best_first = lambda paths: sorted(paths, key=lambda path: path.squares)
 
     likely = pose.distinct(best_first(tried), RULES.start)[: 2 * FOLLOWED]
@@ -262,14 +263,14 @@ def _search_together(pose: LonePose, state: State, tell: Tell) -> list[Descent]:
     for level in range(few.levels, 0, -1):
         # (All views are looked at where few states are left.)
         part = few if level > 2 else pose.problem
-        onward = (p.then(descend(part, p.state, tell, [level])) for p in paths)
+        onward = (p.then(descend(part, p.state, [level])) for p in paths)
         best, *others = pose.distinct(best_first(onward), RULES.same)
         most = (RULES.times if level > 1 else 1 + RULES.little) * best.squares
         paths = [best, *(p for p in others if p.squares <= most)]
     return paths
 
 
-def _lookalikes(pose: LonePose, best: Descent, tell: Tell) -> list[Descent]:
+def _lookalikes(pose: LonePose, best: Descent) -> list[Descent]:
     """Paths from views that look like the best one: its object is near its own mirror image, or
     turned into itself."""
     problem, state = pose.problem, best.state
@@ -282,5 +283,5 @@ def _lookalikes(pose: LonePose, best: Descent, tell: Tell) -> list[Descent]:
         there = eye.with_camera(pose.name, camera, state)
         begun = coarse.descend(there, FIRST_STEPS, ROUGH_PX)
         if begun.squares <= most:
-            paths.append(descend(problem, begun.state, tell, range(coarse.depth, 0, -1)))
+            paths.append(descend(problem, begun.state, range(coarse.depth, 0, -1)))
     return paths

@@ -9,7 +9,7 @@ import numpy as np
 
 from .._camera.camera import Camera, check_camera
 from .._camera.lens import Lens
-from .._files.progress import say, shown
+from .._files.progress import shown
 from .._fit.fit_camera import anywhere, check_alone
 from .._fit.implicit import check_plain, through
 from .._fit.result import Fit, with_modes
@@ -18,18 +18,14 @@ from .._scene.scene import Scene, check_scene
 from .._solver.parameters import as_names, check_free
 from .._solver.priors import Pair
 from .agreement import Agreement
-from .alternatives import LonePose, compare, join
+from .alternatives import compare
 from .door import SHARED, joint_problem
 from .joint_fit import JointFit
-from .levels import Tell, descend, finish
+from .levels import descend, finish
 from .summary import report
-from .system import Descent, JointProblem
+from .system import JointProblem
 from .velocities import answer_of, velocity
 from .views import POSE, JointView
-
-#: With the zeros of joints a fit goes on from this many levels before the finest. (Zeros off by 3
-#: degrees, one sigma, six robots: from 1 to 4 all are found, in the same time to a tenth.)
-ZEROS_FROM = 3
 
 
 def fit_joint(
@@ -209,12 +205,12 @@ def _joint_fit(
     concrete = is_concrete(*jax.tree.leaves(views))
 
     def run(views: Sequence[JointView]) -> tuple[JointFit, Agreement]:
-        with shown(progress, f"fitting {len(views)} views") as tell:
+        with shown(progress, f"fitting {len(views)} views", in_words=True):
             # 1 Check, and bring to canonical form.
             problem = joint_problem(
                 views, cameras, free, search=search, as_given=not concrete, **given
             )
-            return _fit(problem, search, tell or say)
+            return _fit(problem, search)
 
     if concrete:
         return run(views)[0]
@@ -224,7 +220,7 @@ def _joint_fit(
     return through(run, views, answer_of, velocity)
 
 
-def _fit(problem: JointProblem, search: bool, tell: Tell) -> tuple[JointFit, Agreement]:
+def _fit(problem: JointProblem, search: bool) -> tuple[JointFit, Agreement]:
     """The fit of a problem, and the agreement of its views."""
     # 2 Propose cameras: the start, or those that a search finds.
     poses = problem.lone_poses
@@ -233,36 +229,19 @@ def _fit(problem: JointProblem, search: bool, tell: Tell) -> tuple[JointFit, Agr
         raise ValueError(f"`search`: {words}")
     # 3 Descend from the start, coarse to fine.
     depths = () if search else range(problem.levels, 0, -1)
-    path = descend(problem, problem.start, tell, depths)
+    path = descend(problem, problem.start, depths)
     # 4 Weigh what else explains the masks.
-    path, poses = compare(problem, path, tell)
-    if problem.zeros:
-        problem, path, poses = _with_zeros(problem, path, poses, tell)
+    path, poses = compare(problem, path)
     # 5 Keep the best, and its modes.
-    end = finish(problem, path, tell, photos=True)
+    end = finish(problem, path, photos=True)
     modes = [
-        (pose.name, report(finish(pose.problem, other, say), {}))
+        (pose.name, report(finish(pose.problem, other), {}))
         for pose in poses
         for other in pose.others
     ]
     # 6 Status, covariance, words.
     fit = report(end, {pose.name: pose.free for pose in poses})
     return _with_modes(fit, modes), end.found
-
-
-def _with_zeros(
-    problem: JointProblem, path: Descent, poses: list[LonePose], tell: Tell
-) -> tuple[JointProblem, Descent, list[LonePose]]:
-    """The problem in which the zeros of joints are sought, and paths on from those without."""
-    problem = problem.with_zeros()
-    state = path.state._replace(zeros=problem.start.zeros)
-    depths = range(min(problem.levels, ZEROS_FROM), 0, -1)
-    onward = lambda state: descend(problem, state, tell, depths)
-    result = []
-    for pose in poses:
-        states = [join(problem, state, [(pose, x.state)]) for x in pose.others]
-        result.append(pose._replace(problem=problem, others=[*map(onward, states)]))
-    return problem, path.then(onward(state)), result
 
 
 def _with_modes(fit: JointFit, modes: list[tuple[str, JointFit]]) -> JointFit:

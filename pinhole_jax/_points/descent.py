@@ -1,11 +1,12 @@
 """The way of views of points to where their squares are least, and what they leave open there."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
+from .._files.progress import say
 from .._joint.levels import REACHES
 from .._joint.system import Descent
 from .._joint.views import State
@@ -18,8 +19,6 @@ from .starts import rivals
 HOLDS = 1e3
 #: How often the views may go on from other places.
 JUMPS = 3
-
-Tell = Callable[[str], None]
 
 
 class PointDescent(NamedTuple):
@@ -35,7 +34,7 @@ class PointDescent(NamedTuple):
     limits: list[float]
 
 
-def descend(given: PointProblem, state: State, reach: float | None, tell: Tell) -> PointDescent:
+def descend(given: PointProblem, state: State, reach: float | None) -> PointDescent:
     """Descend with all views together, by the problem's `max_steps` at most each time.
 
     Points farther than `reach` (px; None: unknown) lose their weight on the way. Views that other
@@ -45,7 +44,7 @@ def descend(given: PointProblem, state: State, reach: float | None, tell: Tell) 
     for times in (1,) if reach is None else REACHES:
         if reach is not None:
             problem = _without_outliers(given, end.state, times * reach)
-        problem, end = _descend_together(problem, end, tell)
+        problem, end = _descend_together(problem, end)
     jumps = 0
     while True:
         # (Each view is compared, and reported, by what all points err by.)
@@ -58,7 +57,7 @@ def descend(given: PointProblem, state: State, reach: float | None, tell: Tell) 
             break
         jumps += 1
         problem = replace(problem, known=given.known)
-        problem, end = _descend_together(problem, _joined(problem, end, moved), tell)
+        problem, end = _descend_together(problem, _joined(problem, end, moved))
     others = [[place for place in some if place.steps] for some in places]
     return PointDescent(settled, end, others, limits)
 
@@ -70,9 +69,7 @@ def _joined(problem: PointProblem, end: Descent, moved: Mapping[int, State]) -> 
     return end._replace(state=end.state._replace(lenses={**end.state.lenses, **cameras}))
 
 
-def _descend_together(
-    problem: PointProblem, path: Descent, tell: Tell
-) -> tuple[PointProblem, Descent]:
+def _descend_together(problem: PointProblem, path: Descent) -> tuple[PointProblem, Descent]:
     """The problem, and where the squares of all are least, from a path's end on."""
     px, spare = FINE_PX[problem.dtype], problem.left_over
     both = spare + len(problem.priors)
@@ -85,7 +82,7 @@ def _descend_together(
     end = path.then(problem.descend(path.state, problem.max_steps, px))
     weight = sum(matches.weight for matches in problem.matches)
     rms = (squares_of(end) / weight) ** 0.5
-    tell(f"{len(problem.eyes)} views: {end.steps} steps, {rms:.3g} px")
+    say(f"{len(problem.eyes)} views: {end.steps} steps, {rms:.3g} px")
     return problem, end
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from .._camera.axes import axes_of
 from .._camera.camera import Camera, check_camera
 from .._camera.poses import pose_of
-from .._files.progress import say, shown
+from .._files.progress import shown
 from .._fit.fit_camera import check_px
 from .._fit.implicit import Slope, Vantage, check_plain, steps_of, through, velocity_of
 from .._fit.result import (
@@ -182,8 +182,8 @@ def fit_points(
         }
         known = None if noise_px is None else Noise(noise_px**2 / scale, np.inf)
         problem, start = replace(problem, known=known), start._replace(lenses=begun)
-        with shown(progress, "fitting points") as tell:
-            found = descend(problem, start, outlier_px, tell or say)
+        with shown(progress, "fitting points", in_words=True):
+            found = descend(problem, start, outlier_px)
         return _reports(found, given.weight), found
 
     inputs = points3d, points2d, weights
