@@ -142,7 +142,7 @@ def _lone_poses(problem: JointProblem, path: Descent) -> list[LonePose]:
             eye, view = part.eyes[0], path.seen[numbers[0]].view
             if np.all(np.isfinite(view.triangle)):
                 held = _held(eye, path.state, view, some)
-                part = part.seeing({0: replace(eye, solver=replace(eye.solver, prior=held))})
+                part = part.seeing({0: replace(eye.solver, prior=held)})
         result.append(LonePose(name, part, numbers))
     return result
 

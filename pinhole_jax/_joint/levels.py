@@ -61,12 +61,10 @@ def agreement_on_photos(before: Agreement, px: float) -> tuple[Agreement, tuple[
         px: float,
         steps: int,
     ) -> tuple[JointProblem, Descent]:
-        seen = {}
-        for k, image in images.items():
-            colours = replace(eyes[k].solver, kind=COLOURS)
-            solver = colours.weighed(*image, only_finest=max(depths) == 1)
-            seen[k] = replace(eyes[k], solver=solver)
-        own = replace(problem.seeing(seen), weights=counts(images) * problem.weights)
+        colours = {k: replace(eyes[k].solver, kind=COLOURS) for k in images}
+        is_fine = max(depths) == 1
+        own = problem.seeing({k: x.weighed(*images[k], is_fine) for k, x in colours.items()})
+        own = replace(own, weights=counts(images) * problem.weights)
         brief = replace(own, max_steps=steps)
         return own, there[1].then(descend(brief, there[1].state, depths, px))
 
@@ -115,7 +113,8 @@ def finish(problem: JointProblem, path: Descent, photos: bool = False) -> Outcom
     else:
         for times in REACHES:
             edges = {k: eyes[k].mask.near_edge(times * reach) for k in inexact}
-            near = problem.seeing({k: eyes[k].weighed(edges[k]) for k in inexact})
+            weighed = {k: eyes[k].solver.weighed(x, only_finest=True) for k, x in edges.items()}
+            near = problem.seeing(weighed)
             near = weigh_priors(near, path) if times == 1 else near
             path = path.then(descend(near, path.state, [1], px if times == 1 else COARSE_PX))
 

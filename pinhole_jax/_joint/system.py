@@ -264,9 +264,10 @@ class JointProblem:
 
     # --- other problems --------------------------------------------------------------------------
 
-    def seeing(self: AnyProblem, others: Mapping[int, Eye]) -> AnyProblem:
-        """The problem with other eyes in place of some."""
-        return replace(self, eyes=[others.get(k, eye) for k, eye in enumerate(self.eyes)])
+    def seeing(self: AnyProblem, solvers: Mapping[int, Any]) -> AnyProblem:
+        """The problem whose views, by their numbers, have other solvers."""
+        eyes = [replace(e, solver=solvers.get(k, e.solver)) for k, e in enumerate(self.eyes)]
+        return replace(self, eyes=eyes)
 
     def with_zeros(self) -> "JointProblem":
         """The problem in which the zeros of joints are sought, too."""
@@ -327,7 +328,8 @@ class JointProblem:
             parts = [part.without(outward) for part in parts]
             size = np.maximum(size, self.sizes(here, parts))
             x = self.solved(parts, damping**0.5 * size).x
-            moved = self.moved(here, x)
+            moves = (s.moves @ x[self.columns(k)] for k, s in enumerate(here.seen))
+            moved = max(float(np.max(np.abs(y), initial=0)) for y in moves)
             change = sum(float(np.sum((p.rows @ x[p.columns]) ** 2)) for p in parts)
             there = self.stay(self.stepped(here.state, x))
             if (after := self.squares(there, noise)) <= squares:
@@ -355,11 +357,9 @@ class JointProblem:
         look = lambda sight: sight[0].solver.look(sight[0].camera, sight[1])
         program = lambda sight: sight[0].solver.program(sight[0].camera, sight[1])
         views = in_threads(look, sights, program)
-        return [self.rows_of(k, state, view) for k, view in enumerate(views)]
-
-    def rows_of(self, k: int, state: State, view: View) -> ViewRows:
-        """A view at a state, and its moves."""
-        return ViewRows(view, self.eyes[k].moves(state, view, self.unknowns_of(k)))
+        each = enumerate(zip(self.eyes, views, strict=True))
+        moves = (eye.moves(state, view, self.unknowns_of(k)) for k, (eye, view) in each)
+        return [*map(ViewRows, views, moves)]
 
     def noise(self, here: Descent) -> float:
         """The error of a mask's residual, as priors are weighed against it: where neighbours err
@@ -374,8 +374,8 @@ class JointProblem:
         """The sum of the squares of all residuals, those of priors among them; infinite where it is
         none."""
         views = sum(w * s.view.squares for w, s in zip(self.weights, here.seen, strict=True))
-        total = float(views + sum(p.squares for p in self.prior_rows(here, noise)))
-        return total if np.isfinite(total) else np.inf
+        squares = float(views + sum(p.squares for p in self.prior_rows(here, noise)))
+        return squares if np.isfinite(squares) else np.inf
 
     def parts(self, here: Descent, noise: float) -> list[Rows]:
         """Rows of the views, and of priors."""
@@ -433,11 +433,6 @@ class JointProblem:
                 for camera in cameras:
                     lenses[camera] = with_parameter(lenses[camera], kind, lens)
         return State(poses, lenses, scales, zeros)
-
-    def moved(self, here: Descent, x: np.ndarray) -> float:
-        """The largest move that a step makes in any view, in its solver's units."""
-        moves = (s.moves @ x[self.columns(k)] for k, s in enumerate(here.seen))
-        return max(float(np.max(np.abs(y), initial=0)) for y in moves)
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,6 @@ import numpy as np
 from .._camera.camera import Camera
 from .._camera.poses import Pose, adjoint, at_pose, inverse, pose_of, rigid
 from .._fit.implicit import MOTIONS, SCALE, number_of
-from .._mask.edges import Weights
 from .._mask.mask import Mask
 from .._numerics.arrays import ArrayLike, Input
 from .._scene.assembly import Posture
@@ -151,10 +150,6 @@ class Eye:
         """The view on the finest level."""
         solver, camera = self.standpoint(state)
         return solver.look(camera, solver.finest)
-
-    def weighed(self, weights: Weights) -> "Eye":
-        """The eye with other weights of pixels, on the finest level alone."""
-        return replace(self, solver=self.solver.weighed(weights, only_finest=True))
 
     def joints(self, state: State) -> dict[str, float]:
         """Units of the joints whose zeros are sought: they move an outline as moves do, about."""

@@ -89,11 +89,10 @@ def _descend_together(problem: PointProblem, path: Descent) -> tuple[PointProble
 def _without_outliers(given: PointProblem, state: State, reach: float) -> PointProblem:
     """The problem in which points count, by their given weights, that are no farther than this from
     where they are seen (px); half of each view's in any case."""
-    eyes = {}
+    counted = {}
     for k, (eye, matches) in enumerate(zip(given.eyes, given.matches, strict=True)):
         off = np.asarray(matches.distances(eye.canonical(state)))
         most = max(reach, float(np.median(off[matches.counts])))
         weight = np.where(off <= most, matches.given.weight, 0.0)
-        counted = replace(matches, given=matches.given._replace(weight=weight))
-        eyes[k] = replace(eye, solver=counted)
-    return given.seeing(eyes)
+        counted[k] = replace(matches, given=matches.given._replace(weight=weight))
+    return given.seeing(counted)
