@@ -127,10 +127,10 @@ class Agreement(Minimum):
     @cached_property
     def by_pixels(self) -> "Sandwich":
         """The same were the residuals independent and of one variance."""
-        sums, eyes = [seen.view.sums for seen in self.descent.seen], self.problem.eyes
-        squares = sum(float(s.touched_squares) for s in sums)
-        count = max(sum(float(s.touched) for s in sums) - self.problem.size, 1)
-        variance = max(squares / count, *(eye.solver.kind.least for eye in eyes))
+        total, eyes = self.descent.total, self.problem.eyes
+        count = max(total("touched") - self.problem.size, 1)
+        least = (eye.solver.kind.least for eye in eyes)
+        variance = max(total("touched_squares") / count, *least)
         return self._sandwich([variance * p.rows.T @ p.rows for p in self.parts[: len(eyes)]])
 
     def _sandwich(self, of_views: list[np.ndarray], more: Sequence[Any] = ()) -> "Sandwich":
@@ -311,7 +311,7 @@ def _agreement(problem: JointProblem, found: Descent, counts: np.ndarray) -> Agr
 
 def _gradient(solver: Solver, seen: ViewRows, errors: OutlineErrors | None) -> np.ndarray:
     """The covariance (n, n) of J^T r in a view."""
-    sums, triangle = seen.view.sums, np.asarray(seen.view.triangle, float)
+    sums, triangle = seen.view.sums, seen.view.triangle
     noise = float(sums.touched_squares) / max(float(sums.touched) - len(triangle), 1)
     context = Context(solver.kind, errors=errors)
     of_mask = gradients(seen.view, max(noise, solver.kind.least), context)[1]
@@ -328,10 +328,10 @@ def _distance(solver: Solver, seen: ViewRows, covariance: np.ndarray) -> tuple[f
     """
     own = len(components(solver.freed))
     covariance = covariance[:own, :own]
-    triangle = np.asarray(seen.view.triangle, float)[:, :own]
+    triangle = seen.view.triangle[:, :own]
     size = np.linalg.norm(triangle, axis=0)
     size = np.where(size > 0, size, 1.0)
     values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
     counted = values > NOTHING * max(values[-1], 1e-300)
-    parts = vectors[:, counted].T @ (triangle.T @ np.asarray(seen.view.along, float) / size)
+    parts = vectors[:, counted].T @ (triangle.T @ seen.view.along / size)
     return float(np.sum(parts**2 / values[counted])), int(np.count_nonzero(counted))

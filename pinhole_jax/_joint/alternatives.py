@@ -153,7 +153,7 @@ def _held(eye: Eye, state: State, view: View, unknowns: list[Unknown]) -> Prior:
 
     (To that the view compares what it hardly sees: with more it would hardly see anything.)
     """
-    freed, triangle = eye.solver.freed, np.asarray(view.triangle, float)
+    freed, triangle = eye.solver.freed, view.triangle
     shared = tuple(u.kind for u in unknowns if len(u.cameras) > 1)
     held, most = np.isin(components(freed), components(shared)), np.linalg.norm(triangle, 2)
     rows = most * held[:, None] * np.linalg.pinv(view.to_reported)
@@ -276,7 +276,7 @@ def _lookalikes(pose: LonePose, best: Descent) -> list[Descent]:
     problem, state = pose.problem, best.state
     eye, few = problem.eyes[0], problem.few(LOOKED_AT)
     coarse = replace(few, depth=min(problem.levels, 2))
-    noise = sum(RULES.exact * float(seen.view.sums.touched) for seen in best.seen)
+    noise = RULES.exact * best.total("touched")
     most = RULES.times * sum(seen.view.squares for seen in coarse.look(state)) + noise
     paths = []
     for camera in [*eye.solver.subject.alike.views(eye.canonical(state))][:ALIKE]:

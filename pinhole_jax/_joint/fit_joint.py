@@ -20,9 +20,8 @@ from .._solver.priors import Pair
 from .agreement import Agreement
 from .alternatives import compare
 from .door import SHARED, joint_problem
-from .joint_fit import JointFit
+from .joint_fit import JointFit, report
 from .levels import descend, finish
-from .summary import report
 from .system import JointProblem
 from .velocities import answer_of, velocity
 from .views import POSE, JointView

@@ -1,6 +1,7 @@
-"""The result of a joint fit, as a user reads it."""
+"""The result of a joint fit as a user reads it, and what was found put in it: covariances,
+statuses, sentences."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY
 from typing import ClassVar, NamedTuple
 
@@ -8,10 +9,38 @@ import numpy as np
 from jaxtyping import Float
 
 from .._camera.camera import Camera
-from .._camera.poses import Pose
-from .._fit.result import Fit, MaskError, Measurement, Record, Result
+from .._camera.poses import Pose, at_pose
+from .._fit.drift import sigma_of
+from .._fit.places import Free, transported
+from .._fit.result import (
+    WRONG,
+    Fit,
+    MaskError,
+    Measurement,
+    Record,
+    Result,
+    held_words,
+    iou_and_rms,
+    progress_at,
+    uncertain_rotation,
+    widened,
+)
 from .._fit.words import UNIT, Estimate
+from .._rules import RULES
 from .._scene.scene import Scene
+from .._solver.moves import on_film
+from .._solver.solver import Solution, Stop
+from ..names import STATUSES
+from .agreement import HARDLY, OFF, Agreement, forget
+from .levels import Outcome
+from .system import Part
+from .views import MOTIONS, POSE, SCALE, ZERO
+
+#: A view with more than this share of its outline far from the mask's edge shows something else; a
+#: fit to more than this share of such views is none.
+LOST, MOST_LOST = 0.25, 1 / 3
+#: A view with less weight than this decides nothing: it is 4.4 times as far off as the middle one.
+COUNTS = 0.1
 
 
 class ViewFit(NamedTuple):
@@ -154,3 +183,205 @@ class JointFit(Result):
         for k, v in enumerate(self.views):
             lines.append(f"{k:4d}  {v.iou:.4f}  {v.rms:.4f}  {v.sigma:11.1f}  {v.weight:.2f}")
         return "\n".join(lines)
+
+
+def report(end: Outcome, free: Mapping[str, Sequence[Free]]) -> JointFit:
+    """The end of a fit as a user reads it; poses are `free` along these directions."""
+    problem, found, state = end.problem, end.found, end.found.descent.state
+    views = tuple(_view_fit(end, k) for k in range(len(problem.eyes)))
+    fits = {name: _camera_fit(end, name, views, free) for name in problem.cameras}
+    scales = _scales(found)
+    objects = {
+        name: ObjectFit(state.poses[name], found.covariance_of([Part(name, POSE)]))
+        for name in problem.objects()
+    }
+    open_still = [f"{name}: {f}" for name in objects for f in free.get(name, [])]
+    stds = [np.ravel(part.std) for part in (*objects.values(), *scales.values())]
+    is_known = not open_still and all(np.all(np.isfinite(std)) for std in stds)
+    statuses = *(fit.status for fit in fits.values()), "converged" if is_known else "rank_deficient"
+    return JointFit(
+        status=max(statuses, key=[*STATUSES].index),  # the least to be trusted
+        cameras=fits,
+        objects=objects,
+        views=views,
+        excess=found.excess,
+        weak=(*_weak_scales(scales), *open_still, *_disagreement(found, views), *end.notes),
+        steps=found.descent.taken,
+        scales=scales,
+        joint_zeros=_zeros(found),
+    )
+
+
+def _view_fit(end: Outcome, k: int) -> ViewFit:
+    problem, found = end.problem, end.found
+    eye, standpoint = problem.eyes[k], problem.eyes[k].standpoint(found.descent.state)
+    iou, rms = iou_and_rms([end.whole[k]])
+    return ViewFit(
+        camera=on_film(standpoint.camera, problem.cameras[eye.shot.camera]),
+        iou=iou,
+        rms=rms,
+        off=float(found.off[k]),
+        weight=float(found.problem.weights[k]),
+        astray=end.astray[k],
+        mask_error=MaskError.from_outline(found.errors[k]),
+        scene=standpoint.solver.subject.given,
+        sigma=float(found.sigma[k]),
+        worth=_worth(found, k),
+    )
+
+
+def _worth(found: Agreement, k: int) -> float:
+    """The factor by which the errors of a view's camera would grow without the view."""
+    problem = found.problem
+    moving = problem.eyes[k].moving
+    if (place := problem.places.get((moving, POSE))) is None:
+        return float("nan")
+    known = [*(e.moving for e in problem.eyes), *(prior.part.name for prior in problem.priors)]
+    if known.count(moving) == 1:
+        return float("inf")
+    less = found.without(k)
+    if np.any(np.abs(less.unseen[place]) > HARDLY):
+        return float("inf")
+    with np.errstate(all="ignore"):
+        before, after = (np.linalg.slogdet(x.by_masks.covariance(place))[1] for x in (found, less))
+        return float(np.exp((after - before) / (2 * len(place))))
+
+
+def _camera_fit(
+    end: Outcome, name: str, views: tuple[ViewFit, ...], free_poses: Mapping[str, Sequence[Free]]
+) -> Fit:
+    problem, found, film = end.problem, end.found, end.problem.cameras[name]
+    numbers = [k for k, eye in enumerate(problem.eyes) if eye.shot.camera == name]
+    (k, eye), state = problem.eye_of(name), found.descent.state
+    levels, seen = eye.solver.levels, found.descent.seen[k]
+    in_carrier = lambda state: at_pose(state.lenses[name], state.poses[eye.moving] @ eye.rig)
+    ends = found.descent.way
+    way = [Stop(in_carrier(at), levels[eye.level(depth)], steps) for at, depth, steps in ends]
+
+    parts = problem.parts_of(name)
+    covariance = found.covariance_of(parts)
+    here = Solution(eye.canonical(state), seen.view, ())
+    free = [transported(eye.solver, here, x) for x in free_poses.get(eye.moving, ())]
+    if free:  # its covariance is to hold what is free about it
+        by_unknowns, place = problem.reports(parts, found.descent)
+        own = np.searchsorted(problem.columns(k), place)
+        to_reported = by_unknowns @ np.linalg.pinv(seen.moves)[own, : len(seen.view.scale)]
+        covariance += widened(to_reported, free, 0.0)
+        lost = [to_reported @ f.move for f in free if np.isinf(f.ahead)]
+        forget(covariance, np.array(lost).reshape(-1, len(covariance)).T)
+    iou, rms = iou_and_rms([end.whole[k] for k in numbers])
+    errors = [error for k in numbers if (error := views[k].mask_error) is not None]
+    fit = Fit(
+        camera=on_film(in_carrier(state), film),
+        status="converged",
+        names=tuple(label for part in parts for label in part.labels),
+        covariance=covariance,
+        rms=rms,
+        iou=iou,
+        steps=found.descent.taken,
+        history=tuple(progress_at(stop, film) for stop in way),
+        independent_covariance=found.covariance_of(parts, independent=True),
+        mask_error=max(errors, key=lambda error: error.px, default=None),
+    )
+    status, weak = _status(end, numbers, views, fit)
+    if free and status == "converged":
+        status = "rank_deficient"
+    weak = *map(str, free), *weak, *held_words(eye.ended(state))
+    return fit._replace(status=status, weak=weak)
+
+
+def _status(
+    end: Outcome, numbers: list[int], views: tuple[ViewFit, ...], fit: Fit
+) -> tuple[str, tuple[str, ...]]:
+    """The status of a camera, and what its masks determine badly, as sentences."""
+    found = end.found
+    if not np.isfinite(found.descent.squares) or np.any(np.isnan(fit.std)):
+        return "non_finite", ()
+    if fit.iou < RULES.overlap:
+        return "no_overlap", ()
+    if not found.descent.ended:
+        return "max_steps", ()
+    counts = [k for k in numbers if found.problem.weights[k] >= COUNTS or len(numbers) == 1]
+    if wrong := [str(k) for k in counts if not found.explains(k)]:
+        words = f"views {', '.join(wrong)}: the model does not match exact masks closely enough"
+        return "misfit", (words,)
+    astray = [views[k].astray for k in numbers]
+    lost, far = sum(x > LOST for x in astray), float(np.median(astray))
+    if lost > MOST_LOST * len(numbers):
+        words = f"{lost} of {len(numbers)} masks do not show the model: another object?"
+        return "misfit", (words,)
+    # (What several masks show alone was compared with all places that it may be seen from.)
+    if far > RULES.astray and not _is_compared(end, numbers[0]):
+        edges = "the edges of most masks" if len(numbers) > 1 else "the mask's edge"
+        return "misfit", (f"{far:.0%} of the outline is far from {edges}: {WRONG}",)
+    if against := found.contradictions(JointFit.data):
+        return "misfit", against
+    if np.any(np.isinf(fit.std)):
+        return "rank_deficient", ("the masks leave a direction open (infinite standard errors)",)
+    open_turn = uncertain_rotation(fit.covariance, fit.names, fit.camera)
+    return "uncertain" if open_turn else "converged", open_turn
+
+
+def _is_compared(end: Outcome, k: int) -> bool:
+    """True if the fit compared other places of the one pose that view k leaves unknown: several
+    views share it, or there is no other."""
+    lone = end.problem.lone_poses
+    return any(k in views and (len(views) > 1 or len(lone) == 1) for views in lone.values())
+
+
+def _scales(found: Agreement) -> dict[str, SceneScale]:
+    problem, result = found.problem, {}
+    for name in problem.named(SCALE):
+        across = {}
+        for owner in (*problem.objects(), *problem.cameras):
+            poses = [part for part in problem.parts_of(owner) if part.kind in MOTIONS]
+            known = found.covariance_of([*poses, Part(name, SCALE)])
+            across |= {owner: known[:-1, -1]} if poses else {}
+        ((variance,),) = found.covariance_of([Part(name, SCALE)])
+        result[name] = SceneScale(found.descent.state.scales[name], float(variance**0.5), across)
+    return result
+
+
+def _zeros(found: Agreement) -> JointZeros | None:
+    problem, units = found.problem, {}
+    if not (names := tuple(problem.named(ZERO))):
+        return None
+    for posture in (eye.shot.posture for eye in problem.eyes):
+        units |= {} if posture is None else dict(zip(posture.joints, posture.units, strict=True))
+    return JointZeros(
+        names=names,
+        values=np.array([found.descent.state.zeros[name] for name in names]),
+        units=tuple(units[name] for name in names),
+        covariance=found.covariance_of([Part(name, ZERO) for name in names]),
+    )
+
+
+def _weak_scales(scales: dict[str, SceneScale]) -> list[str]:
+    return [
+        f"the scale of {name!r} and its distance cannot be told apart: larger and farther away, it"
+        " looks the same; add a camera at a known place, or give a `prior` on scale or distance"
+        for name, found in scales.items()
+        if np.isinf(found.std)
+    ]
+
+
+def _disagreement(found: Agreement, views: tuple[ViewFit, ...]) -> list[str]:
+    """Sentences on how far views differ, and which of them do."""
+    apart, astray = [], []
+    if sigma_of(found.excess**2 * found.freedom, found.freedom) > RULES.times:
+        apart.append(
+            f"views differ {found.excess:.1f} times as much as their masks' errors explain: check"
+            " joint angles, meshes, transforms and the lens"
+        )
+    for k, view in enumerate(views):
+        if len(views) > 2 and view.off > OFF:
+            apart.append(
+                f"view {k}: mask and outline are {view.off:.1f} times as far apart as in most"
+                f" views; its weight is {view.weight:.2g}"
+            )
+        if view.astray > LOST:
+            astray.append(
+                f"view {k}: {view.astray:.0%} of the outline is far from the mask's edge: check"
+                " its mask, joint angles and transforms"
+            )
+    return apart + astray

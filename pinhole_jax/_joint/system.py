@@ -72,6 +72,10 @@ class Descent(NamedTuple):
     ended: bool
     way: tuple[LevelEnd, ...]
 
+    def total(self, name: str) -> float:
+        """A sum over all pixels of all views (see `Sums`)."""
+        return sum(float(getattr(rows.view.sums, name)) for rows in self.seen)
+
     @property
     def taken(self) -> tuple[int, ...]:
         """The number of steps on each level."""
@@ -140,7 +144,7 @@ class JointProblem:
                 raise ValueError(f"`views[{k}]`: expected a view of something unknown, got none")
 
     @cached_property
-    def _places(self) -> dict[tuple[str | None, str], np.ndarray]:
+    def places(self) -> dict[tuple[str | None, str], np.ndarray]:
         """Indices of each unknown's numbers among all."""
         ends = np.cumsum([u.size for u in self.unknowns], dtype=int)
         each = zip(self.unknowns, ends, strict=True)
@@ -149,7 +153,7 @@ class JointProblem:
     @cached_property
     def _seen(self) -> list[list[int]]:
         """Numbers of the unknowns that each view depends on."""
-        number = {key: k for k, key in enumerate(self._places)}
+        number = {key: k for k, key in enumerate(self.places)}
         return [sorted(number[x] for x in eye.depends_on() if x in number) for eye in self.eyes]
 
     @cached_property
@@ -202,13 +206,9 @@ class JointProblem:
         """The names of unknowns of a kind."""
         return [u.name for u in self.unknowns if u.kind == kind]
 
-    def place(self, name: str, kind: str) -> np.ndarray | None:
-        """Indices of an unknown's numbers among all, None for what is none."""
-        return self._places.get((name, kind))
-
     def columns(self, k: int) -> np.ndarray:
         """Indices of the numbers that a view depends on."""
-        return np.concatenate([self._places[u.name, u.kind] for u in self.unknowns_of(k)])
+        return np.concatenate([self.places[u.name, u.kind] for u in self.unknowns_of(k)])
 
     # --- reports ---------------------------------------------------------------------------------
 
@@ -222,7 +222,7 @@ class JointProblem:
             parts += [Part(own, row, None, H(row)) for row, own in eye.owners.items()]
         else:
             parts = [Part(name, kind) for kind in (POSE, SCALE, ZERO)]
-        return [part for part in parts if (part.name, part.kind) in self._places]
+        return [part for part in parts if (part.name, part.kind) in self.places]
 
     def report(self, part: Part, here: Descent) -> tuple[np.ndarray, np.ndarray]:
         """The numbers (p,) by which an unknown is reported (0 for small turns), and their
@@ -248,8 +248,7 @@ class JointProblem:
         camera, place = eye.canonical(here.state), indices(eye.solver.freed, kind)
         known = [LABELS[label].value for label in part.labels]
         values = [float(value(camera)) if value else 0.0 for value in known]
-        rows = np.asarray(view.to_reported, float)[np.ix_(place, place)]
-        by_unknown = rows / np.asarray(view.scale, float)[place]
+        by_unknown = view.to_reported[np.ix_(place, place)] / view.scale[place]
         return H * np.array(values), H * by_unknown
 
     def reports(self, parts: Sequence[Part], here: Descent) -> tuple[np.ndarray, np.ndarray]:
@@ -259,7 +258,7 @@ class JointProblem:
 
         each = (self.report(part, here)[1] for part in parts)
         by_unknowns: Any = block_diag(np.zeros((0, 0)), *each)
-        places = [self._places[part.name, part.kind] for part in parts]
+        places = [self.places[part.name, part.kind] for part in parts]
         return by_unknowns, np.concatenate([np.zeros(0, int), *places])
 
     # --- other problems --------------------------------------------------------------------------
@@ -356,7 +355,7 @@ class JointProblem:
         sights = [(e.standpoint(state), e.level(self.depth)) for e in self.eyes]
         look = lambda sight: sight[0].solver.look(sight[0].camera, sight[1])
         program = lambda sight: sight[0].solver.program(sight[0].camera, sight[1])
-        views = in_threads(look, sights, program)
+        views = [*map(_in_float64, in_threads(look, sights, program))]
         each = enumerate(zip(self.eyes, views, strict=True))
         moves = (eye.moves(state, view, self.unknowns_of(k)) for k, (eye, view) in each)
         return [*map(ViewRows, views, moves)]
@@ -366,9 +365,8 @@ class JointProblem:
         together, more."""
         if not self.priors:
             return 1.0
-        touched = sum(float(s.view.sums.touched) for s in here.seen)
-        squares = sum(float(s.view.sums.touched_squares) for s in here.seen)
-        return max(self.design * squares / max(touched, 1.0), LEAST_NOISE**2) ** 0.5
+        misfit = here.total("touched_squares") / max(here.total("touched"), 1.0)
+        return max(self.design * misfit, LEAST_NOISE**2) ** 0.5
 
     def squares(self, here: Descent, noise: float) -> float:
         """The sum of the squares of all residuals, those of priors among them; infinite where it is
@@ -381,8 +379,8 @@ class JointProblem:
         """Rows of the views, and of priors."""
         views = []
         for k, (view, moves) in enumerate(here.seen):
-            rows, left = np.asarray(view.triangle, float) @ moves, np.asarray(view.along, float)
-            views.append(Rows(rows, left, self.columns(k)).times(self.weights[k] ** 0.5))
+            rows = Rows(view.triangle @ moves, view.along, self.columns(k))
+            views.append(rows.times(self.weights[k] ** 0.5))
         return [*views, *self.prior_rows(here, noise)]
 
     def prior_rows(self, here: Descent, noise: float) -> list[Rows]:
@@ -391,7 +389,7 @@ class JointProblem:
         for part, label, mean, std in self.priors:
             values, by_unknown = self.report(part, here)
             which = [part.labels.index(label)]
-            rows = Rows(by_unknown[which], values[which] - mean, self._places[part[:2]])
+            rows = Rows(by_unknown[which], values[which] - mean, self.places[part[:2]])
             result.append(rows.times(noise / std))
         return result
 
@@ -406,7 +404,7 @@ class JointProblem:
         for eye in self.eyes:
             for label, side in eye.ended(here.state).items():
                 part = Part(eye.owners[label], label)
-                if (place := self.place(part.name, label)) is not None:
+                if (place := self.places.get(part[:2])) is not None:
                     result[place] = side * np.sign(self.report(part, here)[1][0])
         return result
 
@@ -415,7 +413,7 @@ class JointProblem:
         poses, lenses = dict(state.poses), dict(state.lenses)
         scales, zeros = dict(state.scales), dict(state.zeros)
         for name, kind, cameras in self.unknowns:
-            part = x[self._places[name, kind]]
+            part = x[self.places[name, kind]]
             if kind in MOTIONS:
                 twist = np.zeros(TWIST)
                 twist[MOTIONS[kind]] = part
@@ -433,6 +431,11 @@ class JointProblem:
                 for camera in cameras:
                     lenses[camera] = with_parameter(lenses[camera], kind, lens)
         return State(poses, lenses, scales, zeros)
+
+
+def _in_float64(view: View) -> View:
+    names = "triangle", "along", "to_reported", "scale"
+    return replace(view, **{name: np.asarray(getattr(view, name), float) for name in names})
 
 
 @dataclass(frozen=True, eq=False)

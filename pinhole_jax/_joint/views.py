@@ -183,7 +183,7 @@ class Eye:
     def moves(self, state: State, view: View, unknowns: list[Unknown]) -> np.ndarray:
         """Moves of the view's own camera, then of its joints (n, k), in its solver's units, by the
         unknowns that it depends on."""
-        pose, by_moves = pose_of(self.canonical(state)), np.asarray(view.to_reported, float)
+        pose, by_moves = pose_of(self.canonical(state)), view.to_reported
         # Of a twist of the camera in the world, whatever the scale of its scene. (A solver's first
         # moves, and the first numbers that it reports, are those of the pose.)
         by_twist = np.zeros((len(view.triangle), TWIST))

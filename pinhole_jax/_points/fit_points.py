@@ -42,11 +42,10 @@ from .._solver.moves import canonical, on_film
 from .._solver.parameters import components, labels_of
 from .._solver.priors import Pair
 from .._solver.uncertainty import BLIND, covariance, moves_in_words, weak_directions
-from .descent import PointDescent, descend
+from .descent import PointDescent, begin, descend
 from .noise import FEW, Noise, beyond_noise
 from .reprojection import Matches, PointArrays, PointEye, PointProblem, bend_and_pull
 from .smooth import alike
-from .starts import begin
 
 #: What several views share by default: the intrinsics of one physical camera.
 INTRINSICS = ("phi", "principal_point", "distortion")
@@ -363,7 +362,7 @@ def _report(found: PointDescent, k: int, here: Minimum, beyond: np.ndarray) -> P
     at, film = eye.canonical(end.state), problem.cameras[str(k)]
     camera, blind = on_film(at, film), BLIND[problem.dtype]
     view, freed, place = end.seen[k].view, matches.freed, problem.columns(k)
-    labels, scale = labels_of(freed), np.asarray(view.scale, float)
+    labels, scale = labels_of(freed), view.scale
     reported = to_units(view.to_reported, freed, camera)
     # (R by moves of this view, all others eliminated.)
     triangle = np.linalg.pinv(known.root(place)) * scale

@@ -194,8 +194,11 @@ class PointEye(Eye):
     def moves(self, state: State, view: View, unknowns: list[Unknown]) -> np.ndarray:
         """Moves of the camera (n, k), in its solver's units, by the unknowns: moves, too."""
         del state
-        place = [indices(self.solver.freed, unknown.kind) for unknown in unknowns]
-        return np.diag(1 / np.asarray(view.scale, float))[:, np.concatenate(place)]
+        return np.diag(1 / view.scale)[:, self.place(unknowns)]
+
+    def place(self, unknowns: list[Unknown]) -> np.ndarray:
+        """The moves that unknowns are."""
+        return np.concatenate([indices(self.solver.freed, unknown.kind) for unknown in unknowns])
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,7 +233,7 @@ class PointProblem(JointProblem):
         if self.left_over <= 0:
             return Noise(np.inf, 0)
         count = 2 * sum(len(matches.counts) for matches in self.matches)
-        return Noise(squares_of(here) / (count - self.size), self.left_over)
+        return Noise(here.total("squares") / (count - self.size), self.left_over)
 
     @cached_property
     def _owner(self) -> np.ndarray:
@@ -255,17 +258,12 @@ class PointProblem(JointProblem):
     def stepped(self, state: State, x: np.ndarray) -> State:
         """The state after a step."""
         cameras = dict(state.lenses)
-        for k, (eye, matches) in enumerate(zip(self.eyes, self.matches, strict=True)):
-            name, y = eye.shot.camera, np.zeros(len(components(matches.freed)), self.dtype)
-            for u in self.unknowns_of(k):
-                y[indices(matches.freed, u.kind)] = x[self.place(u.name, u.kind)]
+        for k, eye in enumerate(cast("list[PointEye]", self.eyes)):
+            name, matches = eye.shot.camera, eye.solver
+            y = np.zeros(len(components(matches.freed)), self.dtype)
+            y[eye.place(self.unknowns_of(k))] = x[self.columns(k)]
             cameras[name] = matches.stepped(cameras[name], y)
         return state._replace(lenses=cameras)
-
-
-def squares_of(here: Descent) -> float:
-    """The sum of the squares of all points' residuals (px^2)."""
-    return sum(float(rows.view.sums.squares) for rows in here.seen)
 
 
 def exact_squares(matches: Matches) -> float:

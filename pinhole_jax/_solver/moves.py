@@ -162,17 +162,14 @@ def displaced(camera: Camera, labels: tuple[str, ...], step: np.ndarray) -> Came
     if unknown := sorted({*labels} - LABELS.keys()):
         raise ValueError(f"`fit`: expected known parameters, got {unknown}")
     change = dict(zip(labels, step.tolist(), strict=True))
-    of = lambda kind, names: np.array([change.get(f"{kind}_{x}", 0.0) for x in names])
-    turn, pose = of("rotation", AXES) @ axes_of(camera), pose_of(camera)
-    turned = exponential(np.append(turn, np.zeros(3)))[:3, :3] @ pose[:3, :3]
-    camera = at_pose(camera, rigid(turned, pose[:3, 3] + of("e", "xyz")))
-    for row in TABLE:
-        if not row.leaves or row.labels[0].name not in change:
-            continue
+    of = lambda row: np.array([change.get(label.name, 0.0) for label in row.labels])
+    turn, shift = np.split(of(PARAMETERS["pose"]), 2)
+    motion, pose = exponential(np.append(turn @ axes_of(camera), 0 * turn)), pose_of(camera)
+    camera = at_pose(camera, rigid(motion[:3, :3] @ pose[:3, :3], pose[:3, 3] + shift))
+    for row in (row for row in TABLE if row.leaves and row.labels[0].name in change):
         leaf, *others = row.leaves
         value = np.asarray(leaf.of(camera))
-        added = np.array([change[label.name] for label in row.labels]).reshape(value.shape)
-        changed = (value + added).astype(value.dtype)
+        changed = (value + of(row).reshape(value.shape)).astype(value.dtype)
         camera = eqx.tree_at(leaf.of, camera, changed)
         for other in others:  # the film's height stays while d changes
             stretch = jnp.log(jnp.asarray(changed / value))[None]
