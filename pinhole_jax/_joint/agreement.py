@@ -31,7 +31,7 @@ from .._solver.parameters import components
 from .._solver.problem import FINE_PX, UNIT_PX
 from .._solver.solver import Solver
 from .._solver.uncertainty import BLIND
-from .system import LEAST_DAMPING, Descent, JointProblem, Minimum, Part, ViewRows
+from .system import LEAST_DAMPING, Descent, JointProblem, Minimum, ViewRows
 
 #: Degrees of freedom of the t distribution of views' residuals: a few bad views count for little.
 #: (With 1 a view 3 times as far off as the middle one has a fifth of the weight, one 10 times a
@@ -102,10 +102,11 @@ class Agreement(Minimum):
             return 1.0
         return (self.excess * width_by_few(1.0 * self.freedom)) ** 2
 
-    def covariance_of(self, parts: Sequence[Part], independent: bool = False) -> np.ndarray:
-        """The covariance (p, p) of the numbers by which unknowns are reported; infinite, with no
-        covariances, where they move along directions that change no mask."""
-        by_unknowns, place = self.problem.reports(parts, self.descent)
+    def covariance_of(self, *names: str, independent: bool = False) -> np.ndarray:
+        """The covariance (p, p) of the numbers by which cameras, objects, scales and joints are
+        reported; infinite, with no covariances, where they move along directions that change no
+        mask."""
+        by_unknowns, place = self.problem.reports(self.descent, *names)
         errors = self.by_pixels if independent else self.by_masks
         result = by_unknowns @ errors.covariance(place) @ by_unknowns.T
         forget(result, by_unknowns @ self.unseen[place])
@@ -238,15 +239,12 @@ def width_by_few(freedom: float) -> float:
     return float(t.ppf(0.975, freedom)) / NORMAL_95
 
 
-def agree(
-    problem: JointProblem, found: Descent, px: float, counts: np.ndarray | None = None
-) -> Agreement:
+def agree(problem: JointProblem, found: Descent, px: float) -> Agreement:
     """The agreement of views where their weighed squares are least, from a descent's end on.
 
-    Steps of `px` are negligible. Views that agree have the weights `counts` (V,): 1, if None.
+    Steps of `px` are negligible. Views that agree keep the problem's weights.
     """
-    counts = np.ones(len(problem.eyes)) if counts is None else counts
-    problem = replace(problem, weights=counts, depth=1)
+    counts = problem.weights
     for _ in range(ROUNDS):
         here = _agreement(problem, found, counts)
         further = counts * np.minimum((HEAVY + 1) / (HEAVY + here.off**2), 1.0)

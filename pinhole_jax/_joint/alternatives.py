@@ -214,10 +214,11 @@ def _paths_of_one_view(
     is_here = [near(place) and not better(solver, place.view, now.view) for place in found]
     each = zip(found, is_here, strict=True)
     paths = [here.then(onward(place)) for place, is_known in each if not is_known]
+    if not any(is_here) and better(solver, places.best.view, now.view):
+        return paths, places.free
     # (From a start, what is as good and nearer to it comes first.)
-    if any(is_here):
-        return [here, *paths] if begin is None or is_here[0] else [*paths, here], places.free
-    return paths if better(solver, places.best.view, now.view) else [here, *paths], places.free
+    is_last = any(is_here) and begin is not None and not is_here[0]
+    return [*paths, here] if is_last else [here, *paths], places.free
 
 
 def _keep_agreeing(

@@ -30,7 +30,7 @@ from .._solver.priors import bounds_of, measured
 from .._solver.solver import Solver
 from .._solver.subject import Subject
 from .system import JointPrior, JointProblem, Part
-from .views import MOTIONS, POSE, SCALE, ZERO, Eye, JointView, State, Unknown
+from .views import MOTIONS, POSE, SCALE, ZERO, Eye, JointView, State, Unknown, joint_units
 
 #: From this many views on, small masks have pyramids of few cells (MB less for each of them, and a
 #: program more for all): 14 MB are 14 GB of a thousand.
@@ -77,7 +77,6 @@ def joint_problem(
     limits = bounds_by_name(bounds, cameras, unknowns)
 
     cells = LEAST_CELLS if len(views) < MANY_VIEWS else FEW_CELLS
-    options = {"continued": outlier_px is not None, "cells": cells}
     # (A scene's arrays are not copied for each view.)
     scenes = {id(view.scene): (view.scene, cameras[view.camera].e.dtype) for view in views}
     subjects = {key: Subject.from_scene(*scene) for key, scene in scenes.items()}
@@ -88,7 +87,7 @@ def joint_problem(
         mount, placed = (np.eye(4) if x is None else check_pose(n, x) for n, x in known.items())
         owners, place = owners_of(name, unknowns), places.get(name, np.eye(4))
         own = subjects[id(view.scene)], mask, (POSE, *owners), max_steps, limits[name]
-        solver = Solver.on(*own, **options)
+        solver = Solver.on(*own, continued=outlier_px is not None, cells=cells)
         eyes.append(Eye(view, mask, solver, owners, moving[name], mount, placed, place))
         poses.setdefault(moving[name], pose_of(cameras[name]) @ inverse(place))
     problem = JointProblem(
@@ -212,14 +211,11 @@ def zeros_of(given: Any, views: Sequence[JointView]) -> list[JointPrior]:
     """
     if given is None:
         return []
-    units = {}
     for k, view in enumerate(views):
-        if view.posture is not None:
-            units |= dict(zip(view.posture.joints, view.posture.units, strict=True))
-            if view.mount is not None:
-                words = "expected no `mount` with a `posture`, as joints move it too"
-                raise ValueError(f"`joint_zeros`: {words}, got both in views[{k}]")
-    if not units:
+        if view.posture is not None and view.mount is not None:
+            words = "expected no `mount` with a `posture`, as joints move it too"
+            raise ValueError(f"`joint_zeros`: {words}, got both in views[{k}]")
+    if not (units := joint_units(views)):
         raise ValueError("`joint_zeros`: expected views with a `posture`, got none")
     if not isinstance(given, Mapping):
         given = {name: given for name, unit in units.items() if unit == "rad"}

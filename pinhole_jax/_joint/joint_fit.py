@@ -33,8 +33,7 @@ from .._solver.solver import Solution, Stop
 from ..names import STATUSES
 from .agreement import HARDLY, OFF, Agreement, forget
 from .levels import Outcome
-from .system import Part
-from .views import MOTIONS, POSE, SCALE, ZERO
+from .views import MOTIONS, POSE, SCALE, ZERO, joint_units
 
 #: A view with more than this share of its outline far from the mask's edge shows something else; a
 #: fit to more than this share of such views is none.
@@ -192,8 +191,7 @@ def report(end: Outcome, free: Mapping[str, Sequence[Free]]) -> JointFit:
     fits = {name: _camera_fit(end, name, views, free) for name in problem.cameras}
     scales = _scales(found)
     objects = {
-        name: ObjectFit(state.poses[name], found.covariance_of([Part(name, POSE)]))
-        for name in problem.objects()
+        name: ObjectFit(state.poses[name], found.covariance_of(name)) for name in problem.objects()
     }
     open_still = [f"{name}: {f}" for name in objects for f in free.get(name, [])]
     stds = [np.ravel(part.std) for part in (*objects.values(), *scales.values())]
@@ -259,11 +257,11 @@ def _camera_fit(
     way = [Stop(in_carrier(at), levels[eye.level(depth)], steps) for at, depth, steps in ends]
 
     parts = problem.parts_of(name)
-    covariance = found.covariance_of(parts)
+    covariance = found.covariance_of(name)
     here = Solution(eye.canonical(state), seen.view, ())
     free = [transported(eye.solver, here, x) for x in free_poses.get(eye.moving, ())]
     if free:  # its covariance is to hold what is free about it
-        by_unknowns, place = problem.reports(parts, found.descent)
+        by_unknowns, place = problem.reports(found.descent, name)
         own = np.searchsorted(problem.columns(k), place)
         to_reported = by_unknowns @ np.linalg.pinv(seen.moves)[own, : len(seen.view.scale)]
         covariance += widened(to_reported, free, 0.0)
@@ -280,7 +278,7 @@ def _camera_fit(
         iou=iou,
         steps=found.descent.taken,
         history=tuple(progress_at(stop, film) for stop in way),
-        independent_covariance=found.covariance_of(parts, independent=True),
+        independent_covariance=found.covariance_of(name, independent=True),
         mask_error=max(errors, key=lambda error: error.px, default=None),
     )
     status, weak = _status(end, numbers, views, fit)
@@ -310,8 +308,11 @@ def _status(
     if lost > MOST_LOST * len(numbers):
         words = f"{lost} of {len(numbers)} masks do not show the model: another object?"
         return "misfit", (words,)
-    # (What several masks show alone was compared with all places that it may be seen from.)
-    if far > RULES.astray and not _is_compared(end, numbers[0]):
+    # (What several masks show alone was compared with all places that it may be seen from; what one
+    # mask shows, if there is no other such pose.)
+    lone, (k, *_) = end.problem.lone_poses, numbers
+    is_compared = any(k in some and (len(some) > 1 or len(lone) == 1) for some in lone.values())
+    if far > RULES.astray and not is_compared:
         edges = "the edges of most masks" if len(numbers) > 1 else "the mask's edge"
         return "misfit", (f"{far:.0%} of the outline is far from {edges}: {WRONG}",)
     if against := found.contradictions(JointFit.data):
@@ -322,37 +323,30 @@ def _status(
     return "uncertain" if open_turn else "converged", open_turn
 
 
-def _is_compared(end: Outcome, k: int) -> bool:
-    """True if the fit compared other places of the one pose that view k leaves unknown: several
-    views share it, or there is no other."""
-    lone = end.problem.lone_poses
-    return any(k in views and (len(views) > 1 or len(lone) == 1) for views in lone.values())
-
-
 def _scales(found: Agreement) -> dict[str, SceneScale]:
     problem, result = found.problem, {}
     for name in problem.named(SCALE):
         across = {}
         for owner in (*problem.objects(), *problem.cameras):
-            poses = [part for part in problem.parts_of(owner) if part.kind in MOTIONS]
-            known = found.covariance_of([*poses, Part(name, SCALE)])
-            across |= {owner: known[:-1, -1]} if poses else {}
-        ((variance,),) = found.covariance_of([Part(name, SCALE)])
+            poses = (part for part in problem.parts_of(owner) if part.kind in MOTIONS)
+            number = sum(len(part.labels) for part in poses)  # (reported first)
+            known = found.covariance_of(owner, name)[:number, -1]
+            across |= {owner: known} if number else {}
+        ((variance,),) = found.covariance_of(name)
         result[name] = SceneScale(found.descent.state.scales[name], float(variance**0.5), across)
     return result
 
 
 def _zeros(found: Agreement) -> JointZeros | None:
-    problem, units = found.problem, {}
+    problem = found.problem
     if not (names := tuple(problem.named(ZERO))):
         return None
-    for posture in (eye.shot.posture for eye in problem.eyes):
-        units |= {} if posture is None else dict(zip(posture.joints, posture.units, strict=True))
+    units = joint_units(eye.shot for eye in problem.eyes)
     return JointZeros(
         names=names,
         values=np.array([found.descent.state.zeros[name] for name in names]),
         units=tuple(units[name] for name in names),
-        covariance=found.covariance_of([Part(name, ZERO) for name in names]),
+        covariance=found.covariance_of(*names),
     )
 
 

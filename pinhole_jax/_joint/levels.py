@@ -74,7 +74,7 @@ def agreement_on_photos(before: Agreement, px: float) -> tuple[Agreement, tuple[
     if trusted:
         own = replace(own, weights=counts(trusted))
         end = end.then(own.descend(end.state, own.max_steps, px))
-        found = agree(own, end, px, own.weights)
+        found = agree(own, end, px)
     return found, tuple(f"view {k}: {notes[k].words}" for k in sorted(notes))
 
 
@@ -104,9 +104,8 @@ def finish(problem: JointProblem, path: Descent, photos: bool = False) -> Outcom
         depths = range(min(problem.levels, ZEROS_FROM), 0, -1)
         path = path.then(descend(problem, state, depths))
     eyes, reach, near = problem.eyes, problem.outlier_px, problem
-    misfits = [seen.view.touched_misfit for seen in path.seen]
-    inexact = [k for k, misfit in enumerate(misfits) if misfit > RULES.exact]
-    exact = {k for k, eye in enumerate(eyes) if eye.solver.kind.exact} - {*inexact}
+    inexact = [k for k, seen in enumerate(path.seen) if seen.view.touched_misfit > RULES.exact]
+    exact = any(eye.solver.kind.exact for k, eye in enumerate(eyes) if k not in inexact)
     px = FINE_PX[problem.dtype] if exact or not inexact else DRAWN_PX
     if reach is None or not inexact:
         path = path.then(descend(problem, path.state, [1], px))

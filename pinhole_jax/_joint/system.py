@@ -251,11 +251,12 @@ class JointProblem:
         by_unknown = view.to_reported[np.ix_(place, place)] / view.scale[place]
         return H * np.array(values), H * by_unknown
 
-    def reports(self, parts: Sequence[Part], here: Descent) -> tuple[np.ndarray, np.ndarray]:
-        """The derivative (p, q) of the numbers by which unknowns are reported, by unknowns at a
-        place (q,), and this."""
+    def reports(self, here: Descent, *names: str) -> tuple[np.ndarray, np.ndarray]:
+        """The derivative (p, q) of the numbers by which cameras, objects, scales and joints are
+        reported, by unknowns at a place (q,), and this."""
         from scipy.linalg import block_diag
 
+        parts = [part for name in names for part in self.parts_of(name)]
         each = (self.report(part, here)[1] for part in parts)
         by_unknowns: Any = block_diag(np.zeros((0, 0)), *each)
         places = [self.places[part.name, part.kind] for part in parts]

@@ -9,8 +9,7 @@ from .._camera.poses import at_pose
 from .._fit.implicit import OBJECT, Vantage, ViewInputs, slope_of, steps_of, velocity_of
 from .agreement import Agreement
 from .joint_fit import JointFit
-from .system import JointProblem
-from .views import MOTIONS, JointView, State
+from .views import MOTIONS, JointView
 
 
 def answer_of(fit: JointFit) -> list[Any]:
@@ -27,11 +26,21 @@ def velocity(
 ) -> list[Any]:
     """The answer's rate of change, with the views' scenes, targets, weights, mounts and places."""
     problem, state = found.problem, found.descent.state
-    vantages = [vantage_at(problem, k, state) for k in range(len(views))]
-    slopes = []
-    for k, (view, change) in enumerate(zip(views, moving, strict=True)):
-        weights = problem.eyes[k].solver.weights
+    vantages, slopes = [], []
+    for k, (eye, view, change) in enumerate(zip(problem.eyes, views, moving, strict=True)):
+        name, pose, weights = eye.shot.camera, state.poses[eye.moving], eye.solver.weights
         weight = weights if isinstance(weights, np.ndarray) else weights.image()
+        is_object = lambda u, eye=eye: u.kind in MOTIONS and u.name != eye.moving
+        vantages.append(
+            Vantage(
+                at_pose(state.lenses[name], pose @ eye.rig),
+                problem.cameras[name],
+                pose,
+                tuple(OBJECT if is_object(u) else u.kind for u in problem.unknowns_of(k)),
+                None if eye.shot.object is None else state.poses[eye.shot.object],
+                np.array(eye.scale(state)),
+            )
+        )
         given, rates = (
             ViewInputs(*(getattr(x, name) for name in ViewInputs._fields)) for x in (view, change)
         )
@@ -46,18 +55,3 @@ def velocity(
         *(places[name] for name in fit.objects),
         *(scales[name] for name in fit.scales),
     ]
-
-
-def vantage_at(problem: JointProblem, k: int, state: State) -> Vantage:
-    """The vantage of a view at a state."""
-    eye = problem.eyes[k]
-    name, pose = eye.shot.camera, state.poses[eye.moving]
-    is_object = lambda u: u.kind in MOTIONS and u.name != eye.moving
-    return Vantage(
-        at_pose(state.lenses[name], pose @ eye.rig),
-        problem.cameras[name],
-        pose,
-        tuple(OBJECT if is_object(u) else u.kind for u in problem.unknowns_of(k)),
-        None if eye.shot.object is None else state.poses[eye.shot.object],
-        np.array(eye.scale(state)),
-    )

@@ -7,7 +7,7 @@ s times as large looks as it did from s times as near. So what one view's progra
 camera says all about the unknowns, and no other program is compiled.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -153,9 +153,9 @@ class Eye:
 
     def joints(self, state: State) -> dict[str, float]:
         """Units of the joints whose zeros are sought: they move an outline as moves do, about."""
-        posture, px = self.shot.posture, UNIT_PX / len(self.mask.target)
-        each = () if posture is None else zip(posture.joints, posture.units, strict=True)
-        size = {"world": float(self.solver.subject.ball.radius)}
+        px, radius = UNIT_PX / len(self.mask.target), float(self.solver.subject.ball.radius)
+        size = {"world": radius}
+        each = joint_units([self.shot]).items()
         return {name: px * size.get(unit, 1.0) for name, unit in each if name in state.zeros}
 
     def scale(self, state: State) -> float:
@@ -223,6 +223,12 @@ class Eye:
     def level(self, depth: int) -> int:
         """The number of the level this far from the last, or of the first."""
         return max(len(self.solver.levels) - depth, 0)
+
+
+def joint_units(views: Iterable[JointView]) -> dict[str, str]:
+    """The units of all joints that views have, by name."""
+    postures = (view.posture for view in views if view.posture is not None)
+    return {n: x for each in postures for n, x in zip(each.joints, each.units, strict=True)}
 
 
 def stretched(pose: Pose, times: float) -> Pose:

@@ -34,7 +34,6 @@ from .._numerics.arrays import (
     checked,
     is_concrete,
 )
-from .._numerics.pointwise import room
 from .._rules import RULES
 from .._scene.scene import Scene
 from .._solver.least_squares import slope_of
@@ -200,19 +199,19 @@ def _velocity(
     fits: tuple[PointFit, ...], found: PointDescent, inputs: Any, velocity: Any
 ) -> tuple[Camera, ...]:
     """The cameras' rates of change with the inputs."""
-    given, dtype, rates = _checked(*inputs), fits[0].camera.e.dtype, []
-    units = 1.0, 1.0, _usual_weight(given)
-    for change, array, unit in zip(velocity, given, units, strict=True):
-        change = np.zeros((), dtype) if change is None else jnp.asarray(change, dtype) / unit
-        rate = jnp.broadcast_to(change, array.shape)
-        more = room(array.shape[1]) - array.shape[1]
-        rates.append(jnp.pad(rate, [(0, 0), (0, more), *[(0, 0)] * (rate.ndim - 2)]))
+    given, dtype = _checked(*inputs), fits[0].camera.e.dtype
+    rates = [
+        jnp.broadcast_to(jnp.asarray(0.0 if change is None else change, dtype), array.shape)
+        for change, array in zip(velocity, given, strict=True)
+    ]
+    rates[-1] /= _usual_weight(given)
     problem, slopes, vantages = found.problem, [], []
     for k, (eye, matches) in enumerate(zip(problem.eyes, problem.matches, strict=True)):
         at, film = eye.canonical(found.end.state), fits[k].camera
         vantages.append(Vantage(at, film, pose_of(at), matches.freed))
-        changes = PointArrays(*(rate[k] for rate in rates))
-        bend, pull = bend_and_pull(vantages[k], matches.given, changes)
+        each = zip(matches.given, rates, strict=True)
+        changes = (jnp.zeros_like(x).at[: len(rate[k])].set(rate[k]) for x, rate in each)
+        bend, pull = bend_and_pull(vantages[k], matches.given, PointArrays(*changes))
         slopes.append(Slope(problem.columns(k), np.asarray(bend, float), pull))
     steps = steps_of(slopes)
     return tuple(velocity_of(*pair)[0] for pair in zip(vantages, steps, strict=True))
