@@ -302,7 +302,6 @@ def _agreement(problem: JointProblem, found: Descent, counts: np.ndarray) -> Agr
         freedom=max(freedom, 1),
         off=(misfit / np.median(misfit)) ** 0.5,
         errors=errors,
-        noise=noise,
         sigma=np.array([*map(sigma_of, squares, ranks)]),
     )
 

@@ -315,8 +315,8 @@ def _status(
     if far > RULES.astray and not is_compared:
         edges = "the edges of most masks" if len(numbers) > 1 else "the mask's edge"
         return "misfit", (f"{far:.0%} of the outline is far from {edges}: {WRONG}",)
-    if against := found.contradictions(JointFit.data):
-        return "misfit", against
+    if found.contradictions:
+        return "misfit", found.contradictions
     if np.any(np.isinf(fit.std)):
         return "rank_deficient", ("the masks leave a direction open (infinite standard errors)",)
     open_turn = uncertain_rotation(fit.covariance, fit.names, fit.camera)

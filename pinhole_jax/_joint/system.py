@@ -6,7 +6,7 @@ The rows of a view are its R of J = QR, times how its moves follow the unknowns.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -137,6 +137,8 @@ class JointProblem:
     widens: bool = True
     design: float = 1.0
     depth: int = 1
+    #: What views are fitted to.
+    data: ClassVar[str] = "the masks"
 
     def __post_init__(self) -> None:
         for k, seen in enumerate(self._seen):
@@ -444,12 +446,15 @@ class Minimum:
     """Where a problem's squares are least, and what determines the unknowns there.
 
     - `descent`: the state, and views there.
-    - `noise`: what the rows of priors err by.
     """
 
     problem: JointProblem
     descent: Descent
-    noise: float
+
+    @cached_property
+    def noise(self) -> float:
+        """What the rows of priors err by."""
+        return self.problem.noise(self.descent)
 
     @cached_property
     def parts(self) -> list[Rows]:
@@ -468,9 +473,16 @@ class Minimum:
         """What determines the unknowns."""
         return self.problem.solved(self.parts)
 
-    def contradictions(self, data: str) -> tuple[str, ...]:
+    @cached_property
+    def slope(self) -> np.ndarray:
+        """Half the squares' derivative (size,)."""
+        return slope_of(self.parts, self.problem.size)
+
+    @cached_property
+    def contradictions(self) -> tuple[str, ...]:
         """A sentence on each prior that lies too far from what else is known by the views' data."""
         roots = [part.rows @ self.solved.root(part.columns) for part in self.prior_rows]
         off = np.array([part.left[0] for part in self.prior_rows]) / self.noise
         labels = [prior.label for prior in self.problem.priors]
-        return contradictions(labels, off, np.array([np.sum(x**2) for x in roots]), f"{data} say")
+        known = np.array([np.sum(x**2) for x in roots])
+        return contradictions(labels, off, known, f"{self.problem.data} say")

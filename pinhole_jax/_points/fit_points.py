@@ -36,7 +36,6 @@ from .._numerics.arrays import (
 )
 from .._rules import RULES
 from .._scene.scene import Scene
-from .._solver.least_squares import slope_of
 from .._solver.moves import canonical, on_film
 from .._solver.parameters import components, labels_of
 from .._solver.priors import Pair
@@ -308,12 +307,12 @@ def _reports(found: PointDescent, weights: np.ndarray) -> tuple[PointFit, ...]:
     problem, end = found.problem, found.end
     if not np.isfinite(end.squares):
         return tuple(_without_answer(problem, k, end) for k in range(len(problem.eyes)))
-    here, noise = _minimum(problem, end), problem.shown(end)
+    here, noise = Minimum(problem, end), problem.shown(end)
     beyond = beyond_noise(here.solved, len(end.seen), noise)
     spare = () if noise.freedom > 0 else (_none_left_over(problem),)
     fits = []
     for k, matches in enumerate(problem.matches):
-        others = (_minimum(problem, problem.stay(place.state)) for place in found.others[k])
+        others = (Minimum(problem, problem.stay(place.state)) for place in found.others[k])
         fit, *modes = (_report(found, k, x, beyond) for x in (here, *others))
         given = int(np.sum(weights[k] > 0))
         if left_out := given - len(matches.counts):
@@ -326,11 +325,6 @@ def _reports(found: PointDescent, weights: np.ndarray) -> tuple[PointFit, ...]:
         )
         fits.append(with_modes(fit._replace(history=way, weak=(*fit.weak, *spare)), modes))
     return tuple(fits)
-
-
-def _minimum(problem: PointProblem, end: Descent) -> Minimum:
-    """What determines the unknowns at the end of a descent."""
-    return Minimum(problem, end, problem.noise(end))
 
 
 def _none_left_over(problem: PointProblem) -> str:
@@ -365,9 +359,8 @@ def _report(found: PointDescent, k: int, here: Minimum, beyond: np.ndarray) -> P
     reported = to_units(view.to_reported, freed, camera)
     # (R by moves of this view, all others eliminated.)
     triangle = np.linalg.pinv(known.root(place)) * scale
-    slope = slope_of(here.parts, problem.size)[place]
     # (As NumPy's: within `grad` JAX's would be traced, and no report could look at them.)
-    along = np.linalg.lstsq(triangle.T, slope * scale, rcond=None)[0]
+    along = np.linalg.lstsq(triangle.T, here.slope[place] * scale, rcond=None)[0]
     in_words = partial(moves_in_words, components(freed), axes_of(camera))
     unseen, weak = weak_directions(triangle, in_words, blind)
     spread = reported / scale @ known.follows[place] @ beyond
@@ -385,8 +378,8 @@ def _report(found: PointDescent, k: int, here: Minimum, beyond: np.ndarray) -> P
         words = (*words, ALIKE)
     if unseen:
         status = "rank_deficient"
-    if against := here.contradictions(PointFit.data):
-        status, words = "misfit", against
+    if here.contradictions:
+        status, words = "misfit", here.contradictions
     if rms > found.limits[k]:
         status = "misfit"
         words = (f"points lie {rms:.3g} px (rms) from where they are seen: {WRONG}",)

@@ -209,6 +209,7 @@ class PointProblem(JointProblem):
     """
 
     known: Noise | None = None
+    data: ClassVar[str] = "the points"
     report = JointProblem.by_own_moves
 
     @property
