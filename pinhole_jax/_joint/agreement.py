@@ -31,7 +31,7 @@ from .._solver.parameters import components
 from .._solver.problem import FINE_PX, UNIT_PX
 from .._solver.solver import Solver
 from .._solver.uncertainty import BLIND
-from .system import LEAST_DAMPING, Descent, JointProblem, Minimum, ViewRows
+from .system import LEAST_DAMPING, Descent, JointProblem, Minimum, Part, ViewRows
 
 #: Degrees of freedom of the t distribution of views' residuals: a few bad views count for little.
 #: (With 1 a view 3 times as far off as the middle one has a fifth of the weight, one 10 times a
@@ -102,11 +102,10 @@ class Agreement(Minimum):
             return 1.0
         return (self.excess * width_by_few(1.0 * self.freedom)) ** 2
 
-    def covariance_of(self, *names: str, independent: bool = False) -> np.ndarray:
-        """The covariance (p, p) of the numbers by which cameras, objects, scales and joints are
-        reported; infinite, with no covariances, where they move along directions that change no
-        mask."""
-        by_unknowns, place = self.problem.reports(self.descent, *names)
+    def covariance_of(self, parts: Sequence[Part], independent: bool = False) -> np.ndarray:
+        """The covariance (p, p) of the numbers by which unknowns are reported; infinite, with no
+        covariances, where they move along directions that change no mask."""
+        by_unknowns, place = self.problem.reports(parts, self.descent)
         errors = self.by_pixels if independent else self.by_masks
         result = by_unknowns @ errors.covariance(place) @ by_unknowns.T
         forget(result, by_unknowns @ self.unseen[place])

@@ -33,6 +33,7 @@ from .._solver.solver import Solution, Stop
 from ..names import STATUSES
 from .agreement import HARDLY, OFF, Agreement, forget
 from .levels import Outcome
+from .system import Part
 from .views import MOTIONS, POSE, SCALE, ZERO, joint_units
 
 #: A view with more than this share of its outline far from the mask's edge shows something else; a
@@ -191,7 +192,8 @@ def report(end: Outcome, free: Mapping[str, Sequence[Free]]) -> JointFit:
     fits = {name: _camera_fit(end, name, views, free) for name in problem.cameras}
     scales = _scales(found)
     objects = {
-        name: ObjectFit(state.poses[name], found.covariance_of(name)) for name in problem.objects()
+        name: ObjectFit(state.poses[name], found.covariance_of([Part(name, POSE)]))
+        for name in problem.objects()
     }
     open_still = [f"{name}: {f}" for name in objects for f in free.get(name, [])]
     stds = [np.ravel(part.std) for part in (*objects.values(), *scales.values())]
@@ -257,11 +259,11 @@ def _camera_fit(
     way = [Stop(in_carrier(at), levels[eye.level(depth)], steps) for at, depth, steps in ends]
 
     parts = problem.parts_of(name)
-    covariance = found.covariance_of(name)
+    covariance = found.covariance_of(parts)
     here = Solution(eye.canonical(state), seen.view, ())
     free = [transported(eye.solver, here, x) for x in free_poses.get(eye.moving, ())]
     if free:  # its covariance is to hold what is free about it
-        by_unknowns, place = problem.reports(found.descent, name)
+        by_unknowns, place = problem.reports(parts, found.descent)
         own = np.searchsorted(problem.columns(k), place)
         to_reported = by_unknowns @ np.linalg.pinv(seen.moves)[own, : len(seen.view.scale)]
         covariance += widened(to_reported, free, 0.0)
@@ -278,7 +280,7 @@ def _camera_fit(
         iou=iou,
         steps=found.descent.taken,
         history=tuple(progress_at(stop, film) for stop in way),
-        independent_covariance=found.covariance_of(name, independent=True),
+        independent_covariance=found.covariance_of(parts, independent=True),
         mask_error=max(errors, key=lambda error: error.px, default=None),
     )
     status, weak = _status(end, numbers, views, fit)
@@ -328,11 +330,10 @@ def _scales(found: Agreement) -> dict[str, SceneScale]:
     for name in problem.named(SCALE):
         across = {}
         for owner in (*problem.objects(), *problem.cameras):
-            poses = (part for part in problem.parts_of(owner) if part.kind in MOTIONS)
-            number = sum(len(part.labels) for part in poses)  # (reported first)
-            known = found.covariance_of(owner, name)[:number, -1]
-            across |= {owner: known} if number else {}
-        ((variance,),) = found.covariance_of(name)
+            poses = [part for part in problem.parts_of(owner) if part.kind in MOTIONS]
+            known = found.covariance_of([*poses, Part(name, SCALE)])
+            across |= {owner: known[:-1, -1]} if poses else {}
+        ((variance,),) = found.covariance_of([Part(name, SCALE)])
         result[name] = SceneScale(found.descent.state.scales[name], float(variance**0.5), across)
     return result
 
@@ -346,7 +347,7 @@ def _zeros(found: Agreement) -> JointZeros | None:
         names=names,
         values=np.array([found.descent.state.zeros[name] for name in names]),
         units=tuple(units[name] for name in names),
-        covariance=found.covariance_of(*names),
+        covariance=found.covariance_of([Part(name, ZERO) for name in names]),
     )
 
 

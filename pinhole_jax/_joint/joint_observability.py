@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from functools import partial
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -56,9 +57,9 @@ def joint_observability(
     tables = [part.rows @ each[part.columns] for part in problem.parts(here, noise)]
     triangle: Any = np.linalg.qr(np.concatenate([*tables, 0 * each]), mode="r")
     others = *problem.objects(), *problem.named(SCALE), *problem.named(ZERO)
-    names = *problem.cameras, *others
-    labels = (f"{n} {x}" for n in names for part in problem.parts_of(n) for x in part.labels)
-    by_unknowns, place = problem.reports(here, *names)
+    parts = {name: problem.parts_of(name) for name in (*problem.cameras, *others)}
+    labels = (f"{name} {x}" for name, some in parts.items() for part in some for x in part.labels)
+    by_unknowns, place = problem.reports([*chain(*parts.values())], here)
     reported = by_unknowns @ each[place]
     blind = BLIND[problem.dtype]
     _, weak = weak_directions(triangle, partial(_words, problem), blind)

@@ -253,12 +253,11 @@ class JointProblem:
         by_unknown = view.to_reported[np.ix_(place, place)] / view.scale[place]
         return H * np.array(values), H * by_unknown
 
-    def reports(self, here: Descent, *names: str) -> tuple[np.ndarray, np.ndarray]:
-        """The derivative (p, q) of the numbers by which cameras, objects, scales and joints are
-        reported, by unknowns at a place (q,), and this."""
+    def reports(self, parts: Sequence[Part], here: Descent) -> tuple[np.ndarray, np.ndarray]:
+        """The derivative (p, q) of the numbers by which unknowns are reported, by unknowns at a
+        place (q,), and this."""
         from scipy.linalg import block_diag
 
-        parts = [part for name in names for part in self.parts_of(name)]
         each = (self.report(part, here)[1] for part in parts)
         by_unknowns: Any = block_diag(np.zeros((0, 0)), *each)
         places = [self.places[part.name, part.kind] for part in parts]
@@ -296,8 +295,8 @@ class JointProblem:
 
     def few(self, most: int) -> "JointProblem":
         """The problem with this many views at most, spread among all."""
-        numbers = np.unique(np.linspace(0, len(self.eyes) - 1, most).round().astype(int))
-        return self if len(numbers) == len(self.eyes) else self.only([*numbers], self.unknowns)
+        numbers = np.unique(np.linspace(0, len(self.eyes) - 1, most).round().astype(int)).tolist()
+        return self if len(numbers) == len(self.eyes) else self.only(numbers, self.unknowns)
 
     @cached_property
     def lone_poses(self) -> dict[str, list[int]]:
