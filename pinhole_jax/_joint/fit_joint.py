@@ -9,7 +9,7 @@ import numpy as np
 
 from .._camera.camera import Camera, check_camera
 from .._camera.lens import Lens
-from .._files.progress import shown
+from .._files.progress import listening, shown
 from .._fit.fit_camera import anywhere, check_alone
 from .._fit.implicit import check_plain, through
 from .._fit.result import Fit, with_modes
@@ -233,11 +233,12 @@ def _fit(problem: JointProblem, search: bool) -> tuple[JointFit, Agreement]:
     path, poses = compare(problem, path)
     # 5 Keep the best, and its modes.
     end = finish(problem, path, photos=True)
-    modes = [
-        (pose.name, report(finish(pose.problem, other), {}))
-        for pose in poses
-        for other in pose.others
-    ]
+    with listening(str):  # (A caller hears of the best alone.)
+        modes = [
+            (pose.name, report(finish(pose.problem, other), {}))
+            for pose in poses
+            for other in pose.others
+        ]
     # 6 Status, covariance, words.
     fit = report(end, {pose.name: pose.free for pose in poses})
     return _with_modes(fit, modes), end.found
