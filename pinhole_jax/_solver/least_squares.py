@@ -150,8 +150,8 @@ def solve(parts: list[Rows], owner: np.ndarray, damping: np.ndarray) -> LinearSo
 
 
 def _triangle(parts: list[Rows], order: np.ndarray, damping: np.ndarray) -> np.ndarray:
-    """Return the triangle of some rows by unknowns in an order, of which the first are damped, then
-    of the residuals."""
+    """Return the triangle of some rows by unknowns in an order, then of the residuals; the first
+    unknowns are damped."""
     tables = [np.eye(len(damping), len(order) + 1) * damping[:, None]]
     for part in parts:
         rows = part.rows @ (part.columns[:, None] == order)
