@@ -142,7 +142,7 @@ def _surplus(solver: Solver, view: View) -> float:
 def better(solver: Solver, view: View, best: View) -> bool:
     """True if a view explains the mask better than the best so far, not by rounding only."""
     have, now = _surplus(solver, best), _surplus(solver, view)
-    return now < have - max(0.01 * abs(have), 2 * solver.kind.variance)
+    return bool(now < have - max(0.01 * abs(have), 2 * solver.kind.variance))
 
 
 def _nearly_free(solver: Solver, found: Solution, share: float | None = None) -> list[_Direction]:

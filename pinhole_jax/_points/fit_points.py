@@ -47,6 +47,11 @@ from .smooth import alike
 
 #: What several views share by default: the intrinsics of one physical camera.
 INTRINSICS = ("phi", "principal_point", "distortion")
+#: What is said where steps end beside every minimum.
+BARRED = (
+    "more steps do not help: the lens that fits best folds within the film; hold some of its"
+    " coefficients, show points all over the film, or give `outlier_px` if some are wrong"
+)
 #: Where standard errors may be this many times as large by chance, as 1 to 4 coordinates alone show
 #: how points err, a rotation is open that is uncertain by this much (rad). (By Student's t four of
 #: them are passed by 1 fit in 40 to 200 there, of 9 coordinates by 1 in 1000.)
@@ -385,7 +390,7 @@ def _report(found: PointDescent, k: int, here: Minimum, beyond: np.ndarray) -> P
         words = (f"points lie {rms:.3g} px (rms) from where they are seen: {WRONG}",)
     count = 2.0 * sum(len(matches.counts) for matches in problem.matches)
     if not at_rest(triangle, along, end.squares, count, problem.dtype):
-        status = "max_steps"
+        status, words = "max_steps", (*words, *(BARRED,) * end.ended)
     if not np.isfinite(matches.squares(at)):
         status = "behind"
     return PointFit(
