@@ -13,6 +13,7 @@ import numpy as np
 
 from .._camera.axes import angle, axes_of
 from .._camera.camera import Camera
+from .._numerics.threads import some_at_once
 from .._outline.outline_errors import is_drawn
 from .._outline.statistics import mask_errors, residual_variance
 from .._rules import RULES
@@ -301,19 +302,21 @@ def _turned(camera: Camera, turn: np.ndarray, centre: np.ndarray) -> Camera:
 
 
 def _led_to(solver: Solver, best: Solution, starts: Iterable[Camera]) -> Iterator[Solution | None]:
-    """Yield where descents lead to: on a level where steps lead far, and from another place there
-    on the finest one; None for one that leads to a place that is known."""
+    """Yield where descents lead to: first a few steps on a level where steps lead far, and from
+    another place there on the finest one; None for one that leads to a place that is known, or
+    stays far too bad."""
     number, known = _walked_on(solver), [best.camera]
-    if number == solver.finest:
-        yield from _descended(solver, starts)
-        return
-    for found in _descended(solver, starts, number):
-        back = any(separation(solver, found.camera, camera) < RULES.same / 2 for camera in known)
-        if back or not np.isfinite(found.view.squares):
-            yield None
-        else:
-            known.append(found.camera)
-            yield from _descended(solver, [found.camera])
+    steps = RULES.steps // 3 if number == solver.finest else RULES.steps
+    most = np.inf if solver.kind.exact else RULES.times**2 * best.view.misfit
+    for some in some_at_once(_descended(solver, starts, number, steps)):
+        further: list[Camera] = []
+        for found in some:
+            away = (separation(solver, found.camera, x) for x in [*known, *further])
+            if found.view.misfit < most and min(away) >= RULES.same / 2:
+                further.append(found.camera)
+        known += further
+        yield from [None] * (len(some) - len(further))
+        yield from _descended(solver, further)
 
 
 def _walked_on(solver: Solver) -> int:
@@ -338,8 +341,10 @@ def _glances(solver: Solver, cameras: list[Camera], number: int) -> np.ndarray:
     return np.array([view.squares if np.isfinite(view.squares) else np.inf for view in views])
 
 
-def _descended(solver: Solver, cameras: Iterable[Camera], number: int = -1) -> Iterator[Solution]:
-    return solver.descents(cameras, min(RULES.steps, solver.max_steps), number)
+def _descended(
+    solver: Solver, cameras: Iterable[Camera], number: int = -1, steps: int = RULES.steps
+) -> Iterator[Solution]:
+    return solver.descents(cameras, min(steps, solver.max_steps), number)
 
 
 def _finite(places: Iterable[Solution]) -> list[Solution]:
