@@ -5,8 +5,8 @@
 - `loop`: a mask, its Jacobian and a fit over a plain compiled loop that does the least work
   (`_plain_loop.py`): spheres of more and more faces at 512 px, and of 328k faces at more and more
   pixels; on one thread, ms of the processor.
-- `drawn`: fits to masks of 640 x 480 that waver by a pixel, of an object of 90 px and 20k faces,
-  from a start 10 degrees off (focal length free) and from none; seconds, and how far off they are.
+- `drawn`: fits to masks (640 x 480) that waver, of an object of 90 px and 20k faces, from a start
+  10 degrees off (focal length free) and from none: seconds, and degrees off.
 - `peers`: masks, gradients and fits beside Embree and DEODR, as far as these are
   installed (`_peers.py` has their settings), against a union of the projected triangles in float64.
 - `memory`: what is resident while a mask is made, over scene and mask. (Linux alone tells.)

@@ -47,7 +47,7 @@ from .smooth import alike
 
 #: What several views share by default: the intrinsics of one physical camera.
 INTRINSICS = ("phi", "principal_point", "distortion")
-#: What is said where steps end beside every minimum.
+#: Words for steps that end beside every minimum.
 BARRED = (
     "more steps do not help: the lens that fits best folds within the film; hold some of its"
     " coefficients, show points all over the film, or give `outlier_px` if some are wrong"
