@@ -354,6 +354,16 @@ def test_points_that_are_not_these_are_a_misfit():
         assert any("(rms) from where they are seen" in words for words in fit.weak)
 
 
+def test_lens_that_would_fold_is_told():
+    """Of one view the rows are one off: the best lens that it has for itself folds."""
+    points2d = seen(NEAR, PLANE) + 0.3 * np.random.default_rng(0).normal(size=(4, 30, 2))
+    points2d[1] = np.roll(points2d[1].reshape(5, 6, 2), 1, axis=0).reshape(30, 2)
+    start = START.replace(e=[0, 0, 3], lens=pj.Lens([32, 24], 1, pj.BrownConrady()))
+    for fit in pj.fit_points(PLANE, points2d, start, shared=None):
+        assert fit.status == "max_steps"
+        assert "folds within the film" in fit.weak[-1]
+
+
 LINE = np.linspace([-1.0, 0, 0], [1, 0.2, 0.1], 5)
 
 
