@@ -50,11 +50,10 @@ from .occluders import from_all_sides, near_starts
 from .photo import (
     COLOURS,
     OF_ANOTHER,
-    PHOTO_PX,
-    SURE,
     Judgement,
     PhotoResult,
     check_photo,
+    contradicts,
     on_photo,
 )
 from .places import Free, settled, shelf, tilted, transported, turned_about
@@ -445,8 +444,8 @@ def _shown(
         return [(mode, *first) for mode in modes]
     others = [(mode, *on_photo(solver, mask, photo, mode.found)) for mode in modes[1:]]
     shown = [(modes[0], *first), *others]
-    least = SURE * max(min(said.off for *_, said in shown), PHOTO_PX)
-    return [x for x in shown if x[-1].off <= least]
+    least = min(said.off for *_, said in shown)
+    return [x for x in shown if not contradicts(x[-1].off, least)]
 
 
 def _errs_nowhere(solver: Solver, mode: _Mode) -> bool:

@@ -201,8 +201,8 @@ class Likelihood:
             return read(runs[0], self._fine)
         tried = [read(x, self._rough) for x in runs]
         # Where an occluder meets the outline, a camera can be turned onto a part of it.
-        first = max(tried, key=lambda x: x.log).gross
-        wider = [_widened(first, by) for by in WIDER] if np.any(first) else []
+        gross = max(tried, key=lambda x: x.log).gross
+        wider = [_widened(gross, by) for by in WIDER] if np.any(gross) else []
         tried += [read(x, self._rough) for x in wider if np.mean(x) <= 1 - RULES.small]
         first, *others = sorted(tried, key=lambda x: -x.log)
         if roughly:

@@ -258,6 +258,12 @@ class Outline(NamedTuple):
         return mean(offset), mean(offset**2) ** 0.5
 
 
+def contradicts(off: float, least: float) -> bool:
+    """True if a photo's edge is so far off an outline (px) that it rules that out, being off by
+    this at `least` elsewhere."""
+    return off > SURE * max(least, PHOTO_PX)
+
+
 def _judged(
     mask: Mask, photo: np.ndarray, before: Outline, now: Outline, least: float
 ) -> Judgement:
@@ -270,7 +276,7 @@ def _judged(
     bias, apart = now.of_mask(mask)
     of_mask, at_first = before.of_mask(mask)[1], before.off(first)
     better = of_mask > MASK_PX and own < of_mask
-    if own < STRANGE_PX and (better or at_first > SURE * max(own, PHOTO_PX)):
+    if own < STRANGE_PX and (better or contradicts(at_first, own)):
         size = "large" if bias > 0 else "small"
         words = (
             f"fitted to the photo: its edge lies within {own:.2f} px (rms) of the outline; the mask"

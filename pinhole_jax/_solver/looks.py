@@ -97,8 +97,8 @@ def look(
 
     def quantities(y: Array) -> tuple[Any, Any]:
         camera, scene = problem.moved(move, y, freed)
-        values, film = reported(move.camera, camera, freed), film_of(camera, level, size)
-        drawn = sight_of(film, scene, not problem.motions) if size is None else _image(film, scene)
+        values = reported(move.camera, camera, freed)
+        drawn = _drawn(camera, scene, problem, level, size)
         return (values, problem.prior.residuals(values), *drawn), camera
 
     (_, left, *drawn), by_move, camera = along_each(quantities, y)
@@ -115,6 +115,15 @@ def look(
     ok = jnp.where(lens_holds(camera, _part(level)), 1, jnp.nan).astype(y.dtype)
     facts = to_reported[: len(move.scale)].T, move.scale, J.T, left @ left
     return Look(camera, rows * ok, sums * ok, *facts)
+
+
+def _drawn(
+    camera: Camera, scene: Scene, problem: Problem, level: Level, size: Size | None
+) -> tuple[Array, ...]:
+    """What a look is made of: the numbers of a sight, or where the library does not look, coverage
+    of the whole window."""
+    film = film_of(camera, level, size)
+    return sight_of(film, scene, not problem.motions) if size is None else _image(film, scene)
 
 
 def film_of(camera: Camera, level: Level, size: Size | None) -> FilmMap:
@@ -193,11 +202,7 @@ def _all_pixels(
     move = problem.move(camera, level, freed)
 
     def drawn(y: Array) -> tuple[Any, Any]:
-        camera, scene = problem.moved(move, y, freed)
-        film = film_of(camera, level, size)
-        return sight_of(film, scene, not problem.motions) if size is None else _image(
-            film, scene
-        ), ()
+        return _drawn(*problem.moved(move, y, freed), problem, level, size), ()
 
     values, moves, _ = along_each(drawn, problem.still(freed))
     if size is None:
