@@ -143,7 +143,7 @@ class _Bringing:
 
 
 def _apart(found: list[tuple[_Brought, Window]]) -> list[tuple[_Brought, Window]]:
-    """The first of each place, a turn by `APART` being another one."""
+    """The first of each place, a turn by four times `RULES.same` being another one."""
     if not found:
         return []
     axes = np.stack([axes_of(seen.camera) for seen, _ in found])

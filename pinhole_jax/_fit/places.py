@@ -311,10 +311,10 @@ def _led_to(solver: Solver, best: Solution, starts: Iterable[Camera]) -> Iterato
     for some in some_at_once(_descended(solver, starts, number, steps)):
         further: list[Camera] = []
         for found in some:
-            away = (separation(solver, found.camera, x) for x in [*known, *further])
+            away = (separation(solver, found.camera, camera) for camera in known)
             if found.view.misfit < most and min(away) >= RULES.same / 2:
+                known.append(found.camera)
                 further.append(found.camera)
-        known += further
         yield from [None] * (len(some) - len(further))
         yield from _descended(solver, further)
 
