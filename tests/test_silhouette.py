@@ -199,7 +199,8 @@ def test_eye_inside_a_closed_body_sees_nothing_else():
 @pytest.mark.long
 @pytest.mark.usefixtures("both_ways")
 @pytest.mark.parametrize(
-    "size, copies, triangles", [((2, 2), 1, 60), ((4, 3), 1, 60), ((W, H), 3000, 1)]
+    "size, copies, triangles",
+    [((2, 2), 1, 60), ((4, 3), 1, 60), ((3, 2), 1, 200), ((W, H), 3000, 1)],
 )
 def test_pixel_that_holds_everything_is_resolved(size, copies, triangles):
     """Hundreds of pieces, which arrays cut until few are left; and more of them than arrays list at

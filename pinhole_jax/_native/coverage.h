@@ -3,7 +3,8 @@
 // A curve is cut where it crosses the pixel grid. In each pixel, the pieces add their signed areas
 // (Green's theorem) to the layers at its lower left corner, which are counted in integers. Where
 // one chain of pieces crosses a pixel that sum is the coverage. Any other pixel is swept: a line
-// halts where pieces begin, end or cross, so that the covered part falls into trapezoids.
+// halts where pieces begin, end or cross, so that the covered part falls into trapezoids; of a
+// crowded pixel parts are.
 //
 // Points on a grid line count for the pixel above it or to its right.
 #pragma once
@@ -153,12 +154,13 @@ class Pixel {
       if (seen_) show_all();
       return std::clamp(mean, 0.0, 1.0);
     }
-    return swept();
+    return by_sweeps();
   }
 
  private:
   static constexpr double kTiny = 2e-15, kTie = 1e-13;
-  static constexpr int kLinesInPart = 3, kMostParts = 32;
+  static constexpr size_t kFew = 14;
+  static constexpr int kDeepest = 24, kBarren = 5;
 
   struct Line {
     double u0, v0, u1, v1, slope;
@@ -177,9 +179,34 @@ class Pixel {
     double v;
     int line, jump;
   };
-  struct Here {  // a line in a part of the sweep
-    double u0, u1, v0, slope;
+  struct Box {
+    double from, to, low, high;
+    double width() const { return to - from; }
+    double height() const { return high - low; }
+  };
+  struct Bar {  // the part of a line in a cell
+    double u0, u1, v0, v1, slope;
     int line, jump;
+    double at(double u) const { return v0 + (u - u0) * slope; }
+    double lower() const { return std::min(v0, v1); }
+    double upper() const { return std::max(v0, v1); }
+  };
+  struct Cell {  // a part of the pixel
+    Box box;
+    int first, drops;         // layers at its lower left corner; those that steps and bars may take
+    std::vector<Step> steps;  // of its lower side
+    std::vector<Bar> bars;
+    void begin(const Box& given, int corner) {
+      box = given, first = corner, drops = 0;
+      steps.clear(), bars.clear();
+    }
+    void add(const Step& s) {
+      if (s.u <= box.from) first += s.layers;
+      else if (s.u < box.to) drops += std::min(s.layers, 0), steps.push_back(s);
+    }
+    void add(const Bar& bar) {
+      if (bar.u0 < bar.u1) drops += std::min(bar.jump, 0), bars.push_back(bar);
+    }
   };
 
   const Piece& piece(int k) const { return all_.pieces[some_[k]]; }
@@ -216,7 +243,7 @@ class Pixel {
     }
   }
 
-  double swept() {
+  double by_sweeps() {
     bool steep = false;
     for (int k = 0; seen_ && k < n_; ++k) steep = steep || needs_upward(piece(k));
     const double area = sweep(false);
@@ -256,13 +283,17 @@ class Pixel {
     }
   }
 
-  void add_crossing(const Line& a, const Line& b, bool upward, double from, double to) {
-    const double low = std::max({a.u0, b.u0, from}), high = std::min({a.u1, b.u1, to});
+  void add_crossing(const Bar& a, const Bar& b, bool upward, const Box& box) {
+    if (has_arcs_) {
+      const Line &one = lines_[a.line], &other = lines_[b.line];
+      if (one.frame || other.frame) {
+        const double low = std::max({one.u0, other.u0, box.from}), high = std::min({one.u1, other.u1, box.to});
+        return add_arc_crossing(one, other, low, high, upward);
+      }
+    }
+    const double low = std::max(a.u0, b.u0), high = std::min(a.u1, b.u1);
     if (!(low < high)) return;
-    if (a.frame || b.frame) return add_arc_crossing(a, b, low, high, upward);
-    const double sa = a.slope, sb = b.slope;
-    const auto gap = [&](double u) { return a.v0 + (u - a.u0) * sa - (b.v0 + (u - b.u0) * sb); };
-    const double before = gap(low), after = gap(high);
+    const double before = a.at(low) - b.at(low), after = a.at(high) - b.at(high);
     if ((before < 0) == (after < 0)) return;
     halts_.push_back(low + (high - low) * ratio(before, before - after));
   }
@@ -307,62 +338,132 @@ class Pixel {
     return clamp_between(l.v0 + (u - l.u0) * l.slope, l.v0, l.v1);
   }
 
-  // The covered area under a line that moves right (or `upward`: then only what is seen counts). Of
-  // many pieces most are hidden in most places: stretches that they cannot uncover are passed over.
+  // Where a line is this high.
+  double place_at(const Line& l, bool upward, double v) const {
+    if (!l.frame) return l.u0 + ratio(v - l.v0, l.slope);
+    const Monotone& m = curve(*l.piece);
+    const Vec2 w = upward ? unit_at_x(*l.frame, film(false, v), m.rising * m.rightward)
+                          : unit_at_y(*l.frame, film(true, v), m.rising);
+    const Vec2 p = film_point(l.frame->at(w));
+    return upward ? p.y - row_ : p.x - column_;
+  }
+
+  // The covered area under a line that moves right (or `upward`: then only what is seen counts).
   double sweep(bool upward) {
     lines_of(upward);
-    const int parts = std::clamp(int(lines_.size()) / kLinesInPart, 1, kMostParts);
-    double area = 0;
-    for (int k = 0; k < parts; ++k) area += sweep_part(upward, double(k) / parts, double(k + 1) / parts);
+    cells_.resize(kDeepest + 1);
+    Cell& whole = cells_[0];
+    whole.begin({0, 1, 0, 1}, corner_);
+    for (const Step& s : steps_) whole.add(s);
+    for (int k = 0; k < int(lines_.size()); ++k) {
+      const Line& l = lines_[k];
+      whole.add(Bar{l.u0, l.u1, l.v0, l.v1, l.slope, k, l.jump});
+    }
+    const double area = within(0, 0, upward);
     if (seen_) collect(upward);
     return area;
   }
 
-  double sweep_part(bool upward, double from, double to) {
-    int least = 0;
-    first_ = corner_;
-    here_.clear(), steps_here_.clear();
-    for (const Step& s : steps_) {
-      if (s.u < from) first_ += s.layers;
-      else if (s.u < to) least += std::min(s.layers, 0), steps_here_.push_back(s);
-    }
-    for (int k = 0; k < int(lines_.size()); ++k) {
-      const Line& l = lines_[k];
-      if (!(l.u0 < to && l.u1 > from)) continue;
-      here_.push_back({l.u0, l.u1, l.v0, l.slope, k, l.jump});
-      least += std::min(l.jump, 0);
-    }
-    if (first_ + least > 0) return to - from;
-    halts_.assign({from, to});
-    for (size_t i = 0; i < here_.size(); ++i) {
-      const Line& l = lines_[here_[i].line];
-      if (l.u0 > from) halts_.push_back(l.u0);
-      if (l.u1 < to) halts_.push_back(l.u1);
-      for (size_t j = i + 1; j < here_.size(); ++j) add_crossing(l, lines_[here_[j].line], upward, from, to);
-    }
-    std::sort(halts_.begin(), halts_.end());
+  // The covered area of a cell. Of many pieces most are hidden in most places, and the time to sweep
+  // a place grows as the square of how many meet there: a crowded cell is halved, twice across, then
+  // along, and one that nothing can uncover is passed over. Where halves are about as crowded (a fan,
+  // a bundle) a few times in turn, it is swept as it is.
+  double within(int depth, int barren, bool upward) {
+    const Cell& cell = cells_[depth];
+    if (cell.first + cell.drops > 0) return cell.box.width() * cell.box.height();
+    const size_t count = cell.bars.size();
+    if (count <= kFew || depth == kDeepest || barren > kBarren) return swept(cell, upward);
     double area = 0;
-    for (size_t k = 0; k + 1 < halts_.size(); ++k)
-      if (halts_[k + 1] > halts_[k]) area += strip(upward, halts_[k], halts_[k + 1]);
+    for (const bool second : {false, true}) {
+      Cell& half = cells_[depth + 1];
+      depth % 3 == 2 ? halve_along(cell, second, upward, half) : halve_across(cell, second, upward, half);
+      area += within(depth + 1, 4 * half.bars.size() > 3 * count ? barren + 1 : 0, upward);
+    }
     return area;
   }
 
-  double strip(bool upward, double from, double to) {
-    const double middle = (from + to) / 2, width = to - from;
-    met_.clear();
-    for (const Here& l : here_) {
-      if (!(l.u0 <= middle && middle < l.u1)) continue;
-      const double v = has_arcs_ ? height_at(lines_[l.line], upward, middle) : l.v0 + (middle - l.u0) * l.slope;
-      const Met here{v, l.line, l.jump};
-      size_t at = met_.size();
-      met_.push_back(here);
-      for (; at > 0 && met_[at - 1].v > here.v; --at) met_[at] = met_[at - 1];
-      met_[at] = here;
+  void halve_across(const Cell& cell, bool second, bool upward, Cell& half) const {
+    Box box = cell.box;
+    const double middle = (box.from + box.to) / 2;
+    (second ? box.from : box.to) = middle;
+    half.begin(box, cell.first);
+    for (const Step& s : cell.steps) half.add(s);
+    for (Bar bar : cell.bars) {
+      if (bar.u0 < middle && middle < bar.u1) {
+        (second ? bar.u0 : bar.u1) = middle;
+        (second ? bar.v0 : bar.v1) = height_at(lines_[bar.line], upward, middle);
+      }
+      if (second ? bar.u0 >= middle : bar.u1 <= middle) half.add(bar);
     }
-    int layers = first_;
-    for (const Step& s : steps_here_) layers += s.u < middle ? s.layers : 0;
-    double under = 0;
-    for (const Met& m : met_) {
+  }
+
+  // What lies below a cell counts as steps of its lower side.
+  void halve_along(const Cell& cell, bool second, bool upward, Cell& half) const {
+    Box box = cell.box;
+    const double middle = (box.low + box.high) / 2;
+    (second ? box.low : box.high) = middle;
+    half.begin(box, cell.first);
+    for (const Step& s : cell.steps) half.add(s);
+    for (const Bar& bar : cell.bars) {
+      Bar below = bar, above = bar;
+      const bool rises = bar.v0 < middle, falls = bar.v1 < middle;
+      if (rises != falls) {
+        const double u = std::clamp(place_at(lines_[bar.line], upward, middle), bar.u0, bar.u1);
+        (rises ? below.u1 : below.u0) = (rises ? above.u0 : above.u1) = u;
+        (rises ? below.v1 : below.v0) = (rises ? above.v0 : above.v1) = middle;
+      }
+      const bool has_below = rises || falls, has_above = !rises || !falls;
+      if (!second && has_below) half.add(below);
+      if (second && has_below) half.add(Step{below.u0, bar.jump}), half.add(Step{below.u1, -bar.jump});
+      if (second && has_above) half.add(above);
+    }
+  }
+
+  double swept(const Cell& cell, bool upward) {
+    const Box& box = cell.box;
+    halts_.assign({box.from, box.to});
+    const auto halt = [&](double u) { if (u > box.from && u < box.to) halts_.push_back(u); };
+    for (const Step& s : cell.steps) halt(s.u);
+    for (size_t i = 0; i < cell.bars.size(); ++i) {
+      const Bar& a = cell.bars[i];
+      halt(a.u0), halt(a.u1);
+      for (size_t j = i + 1; j < cell.bars.size(); ++j) {
+        const Bar& b = cell.bars[j];
+        if (!has_arcs_ && (a.lower() >= b.upper() || b.lower() >= a.upper())) continue;
+        add_crossing(a, b, upward, box);
+      }
+    }
+    std::sort(halts_.begin(), halts_.end());
+    sorted_.assign(cell.steps.begin(), cell.steps.end());
+    std::sort(sorted_.begin(), sorted_.end(), [](const Step& a, const Step& b) { return a.u < b.u; });
+    double area = 0;
+    int bottom = cell.first;
+    size_t passed = 0;
+    for (size_t k = 0; k + 1 < halts_.size(); ++k) {
+      const double from = halts_[k], to = halts_[k + 1];
+      if (!(to > from)) continue;
+      for (; passed < sorted_.size() && sorted_[passed].u <= from; ++passed) bottom += sorted_[passed].layers;
+      area += strip(cell, bottom, upward, from, to);
+    }
+    return area;
+  }
+
+  double strip(const Cell& cell, int bottom, bool upward, double from, double to) {
+    const double middle = (from + to) / 2, width = to - from;
+    if (met_.size() < cell.bars.size()) met_.resize(cell.bars.size());
+    Met* const met = met_.data();
+    size_t count = 0;
+    for (const Bar& bar : cell.bars) {
+      if (!(bar.u0 <= middle && middle < bar.u1)) continue;
+      const double v = has_arcs_ ? height_at(lines_[bar.line], upward, middle) : bar.at(middle);
+      size_t at = count++;
+      for (; at > 0 && met[at - 1].v > v; --at) met[at] = met[at - 1];
+      met[at] = {v, bar.line, bar.jump};
+    }
+    int layers = bottom;
+    double under = (bottom > 0) * cell.box.low * width;
+    for (size_t k = 0; k < count; ++k) {
+      const Met& m = met[k];
       const bool below = layers > 0, above = (layers += m.jump) > 0;
       if (below == above) continue;
       Line& l = lines_[m.line];
@@ -372,7 +473,7 @@ class Pixel {
       l.extent -= change * width, l.moment -= change * width * film(upward, middle);
       if (l.frame) see_arc(l, upward, from, to);
     }
-    return (layers > 0) * width - under;
+    return (layers > 0) * cell.box.high * width - under;
   }
 
   double area_under(const Line& l, double from, double to) const {
@@ -410,10 +511,9 @@ class Pixel {
   std::vector<Line> lines_;
   std::vector<VisibleArc> fluxes_;
   std::vector<Step> steps_;
+  std::vector<Cell> cells_;  // one of each depth
   std::vector<double> halts_;
-  std::vector<Here> here_;
-  std::vector<Step> steps_here_;
-  int first_ = 0;
+  std::vector<Step> sorted_;
   bool has_arcs_ = false;
   std::vector<Met> met_;
 };

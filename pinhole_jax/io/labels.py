@@ -4,7 +4,7 @@ from collections import Counter
 
 import numpy as np
 
-from .._files.pictures import rows
+from .._files.pictures import BAND, rows
 
 #: Pixels are flat where all that touch them are alike. A value is a level if it has at least this
 #: many of them, and they are this share of its pixels: values of edges and noise have fewer.
@@ -51,6 +51,17 @@ def labels_in(numbers: np.ndarray, seen: np.ndarray | None = None) -> np.ndarray
     return levels[:0] if len(levels) == 2 and is_mask else levels
 
 
+def value_counts(numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return an array's values in order, and how many times it has each."""
+    if numbers.dtype != np.uint8:
+        return np.unique(numbers, return_counts=True)
+    flat = numbers.ravel()
+    parts = (flat[k : k + BAND] for k in range(0, len(flat), BAND))
+    counts = sum((np.bincount(part, minlength=256) for part in parts), np.zeros(256, int))
+    values = np.flatnonzero(counts)
+    return values.astype(np.uint8), counts[values]
+
+
 def _counted(numbers: np.ndarray, seen: np.ndarray | None) -> tuple[np.ndarray, ...] | None:
     """Return the values in order, how many pixels each has, and how many flat ones, all but those
     of the border; None where there are too many."""
@@ -65,7 +76,7 @@ def _counted(numbers: np.ndarray, seen: np.ndarray | None) -> tuple[np.ndarray, 
             shown = seen[max(part.start, 1) : part.stop + 1, 1:-1][: len(here)]
             here, flat = here[shown], flat[shown]
         for total, some in ((pixels, here), (flat_pixels, here[flat])):
-            values, counts = np.unique(some, return_counts=True)
+            values, counts = value_counts(some)
             if len(values) > MOST_VALUES:
                 return None
             total.update(dict(zip(values.tolist(), counts.tolist(), strict=True)))

@@ -16,7 +16,7 @@ from .._files.paths import FilePath
 from .._files.pictures import Picture, by_rows, from_picture, pixels, rows
 from .._mask.target import MOST_BORDER, as_coverage as unclipped, border_of, check_image
 from .._numerics.arrays import ArrayLike, Input
-from .labels import labels_in
+from .labels import labels_in, value_counts
 from .tidy import SPECK, drop_specks
 from .transparency import DARK, GREY, LIGHT, mask_with_colours, nearest, ring, shrunk
 
@@ -157,14 +157,14 @@ def _at_first_sight(picture: Picture) -> MaskReading:
     has_bytes = getattr(numbers, "dtype", None) == np.uint8
     if has_bytes and numbers.max() == 1 and not np.any(colours[numbers == 0]):  # 0 is black
         return MaskReading(255 * numbers, "mask: its values 0 and 1")
-    if not is_grey and np.max(np.ptp(colours, axis=2)) > GREY:
+    if not is_grey and _has_colour(colours):
         raise ValueError(f"a colour picture; say what is the object: {WAYS}")
     grey = colours[..., 0]
     labels = labels_in(numbers if is_grey else grey)
     if numbers is not None and not is_grey and len(labels):
         labels = np.unique(numbers[np.isin(grey, labels)])
     _check_labels(labels, "values", numbers is not None)
-    values, counts = np.unique(grey, return_counts=True)
+    values, counts = value_counts(grey)
     low, most = int(values[0]), int(values[-1])
     between = counts[(values >= DARK) & (values <= LIGHT)].sum()
     if between > counts[values > LIGHT].sum():
@@ -179,6 +179,16 @@ def _at_first_sight(picture: Picture) -> MaskReading:
         return MaskReading(_stretched(grey, values), f"{HAZE}, {low} and {most}")
     hazy = f"{HAZE}, whose background is at least {low} of 255"
     return MaskReading(grey, hazy if low > MOST_HAZE else "")
+
+
+def _has_colour(colours: np.ndarray) -> bool:
+    """Whether a pixel's red, green and blue (H, W, 3) differ by more than a grey one's."""
+    for part in rows(*colours.shape[:2]):
+        red, green, blue = np.moveaxis(colours[part], 2, 0)
+        least, most = np.minimum(red, green), np.maximum(red, green)
+        if np.max(np.maximum(most, blue) - np.minimum(least, blue)) > GREY:
+            return True
+    return False
 
 
 def _stretched(grey: np.ndarray, values: np.ndarray) -> np.ndarray:
