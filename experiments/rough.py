@@ -3,7 +3,7 @@
     python experiments/rough.py masks | fits | growth | photos | stress [OUT]
 
 - `masks`: bumpy spheres with noise on their vertices (as a share of the mean edge: a scan has 0.12,
-  a hedgehog 1.2), loose triangles, overlapping spheres, and real meshes where
+  a tangle 1.2), loose triangles, overlapping spheres, and real meshes where
   `../shared` has them; beside a smooth mesh of about as many faces.
 - `fits`: to hard and soft masks of some of these, seconds of the processor.
 - `growth`: how the time of a mask grows with noise, faces and pixels.
@@ -43,7 +43,7 @@ from scipy.spatial.transform import Rotation
 
 import pinhole_jax as pj
 
-SCAN, HEDGEHOG = 0.12, 1.2
+SCAN, TANGLE = 0.12, 1.2
 WIDTHS = (500, 1000, 2000, 4000)
 REAL = ("counter.stl", "cycloidal.ply", "suzanne.ply")
 
@@ -80,7 +80,7 @@ CASES: dict[str, tuple[Callable[[], pj.Scene], int]] = {
     "smooth, 82k": (lambda: bumpy(6), 6),
     "scan, 82k": (lambda: bumpy(6, SCAN), 6),
     "scan, 328k": (lambda: bumpy(7, SCAN), 7),
-    "hedgehog, 82k": (lambda: bumpy(6, HEDGEHOG), 6),
+    "tangle, 82k": (lambda: bumpy(6, TANGLE), 6),
     "soup, 10k": (lambda: soup(10_000), 4),
     "2000 spheres": (lambda: balls(2000), 0),
     "20000 spheres": (lambda: balls(20_000), 0),
@@ -112,7 +112,7 @@ def masks(asked: Options) -> dict:
     for name in asked_cases(asked):
         make, like = CASES[name]
         scene, row = make(), {"": name}
-        row |= {f"{px} px": mask_ms(scene, px) for px in (256, 1024)}
+        row |= {f"{px} px": mask_ms(scene, px) for px in (64, 256, 1024)}
         row["times smooth"] = row["256 px"] / mask_ms(bumpy(like)) if like else None
         rows.append(row)
         print(row, flush=True)
