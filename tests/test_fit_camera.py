@@ -172,12 +172,12 @@ def test_exact_mask_of_another_shape_is_a_misfit(manner):
 @pytest.mark.long
 def test_meshes_and_images_of_similar_size_share_compiled_programs():
     pj.fit_camera(SCENE, EXACT, turned(CAMERA, 5))
-    programs = [descended._cached._cache_size()]
+    programs = [descended._cache_size()]
     for subdivisions, size in ((2, (300, 160)), (3, (90, 84))):
         other = lump(subdivisions, seed=1)
         camera = usual_camera(*size)
         pj.fit_camera(other, drawn(camera, other), turned(camera, 5))
-    assert programs == [descended._cached._cache_size()]
+    assert programs == [descended._cache_size()]
 
 
 def test_progress_is_reported_after_each_level():

@@ -145,10 +145,10 @@ def test_cameras_that_share_phi_are_those_of_fit_cameras(three):
     views, truths, starts = three
     scene, masks = views[0].scene, [view.target for view in views]
     pj.fit_camera(scene, masks[0], starts["one"], ("pose", "phi"))
-    programs = levenberg_marquardt.descended._cached._cache_size()
+    programs = levenberg_marquardt.descended._cache_size()
     fit = pj.fit_joint(views, starts, shared="phi")
     others = pj.fit_cameras(scene, masks, [*starts.values()])
-    assert programs == levenberg_marquardt.descended._cached._cache_size()
+    assert programs == levenberg_marquardt.descended._cache_size()
     assert fit.status == "converged"
     assert len({float(f.camera.phi) for f in fit.cameras.values()}) == 1
     wider = fit.excess * t.ppf(0.975, 2) / 1.96 if fit.excess > 1 else 1.0

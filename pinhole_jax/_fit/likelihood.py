@@ -249,23 +249,21 @@ def _cheapest(zero: np.ndarray, one: np.ndarray, change: np.ndarray) -> np.ndarr
 
     Costs: `zero` and `one` (K, N) of a block, `change` (K,) from block to block.
     """
-    costs = np.stack([zero, one], axis=-1)
-    across = change[:, None, None] * (1 - np.eye(2))
-    # Each way begins as 0 or as 1, and has to end where it began: (K, first, state).
-    total = np.where(np.eye(2, dtype=bool), costs[:, None, 0], np.inf)
-    came = np.zeros((costs.shape[1], *total.shape), int)
-    for k in range(1, costs.shape[1]):
-        steps = total[..., None] + across[:, None]
-        came[k] = np.argmin(steps, axis=2)
-        total = np.min(steps, axis=2) + costs[:, None, k]
-    total = (total + across).reshape(len(total), 4)
-    best = np.argmin(total, axis=1)
-    each, first, state = np.arange(len(best)), best // 2, best % 2
-    ways = np.zeros(zero.shape, bool)
-    for k in range(costs.shape[1] - 1, -1, -1):
-        ways[:, k] = state
-        state = came[k, each, first, state]
-    return ways
+    zero, one, more = zero.T[..., None], one.T[..., None], change[:, None]
+    # Each way begins as 0 or as 1, and has to end where it began: (N, K, first). By how much a one
+    # at a block costs more than a zero there, with all before it:
+    excess = np.empty((len(zero), len(change), 2))
+    excess[0] = np.inf, -np.inf
+    for k in range(1, len(zero)):
+        excess[k] = np.maximum(np.minimum(excess[k - 1], more), -more) + (one[k] - zero[k])
+    ways = np.empty(excess.shape, bool)
+    state = excess[-1] < more * [-1, 1]
+    for k in range(len(zero) - 1, -1, -1):
+        ways[k] = state
+        state = excess[k - 1] < np.where(state, more, -more)
+    costs = np.sum(np.where(ways, one, zero), axis=0)
+    costs += more * np.sum(ways != np.roll(ways, 1, axis=0), axis=0)
+    return np.where(costs[:, 0] <= costs[:, 1], *np.moveaxis(ways, 2, 0)).T
 
 
 def believed(near: SparseImage, edge: Edge, gross: np.ndarray) -> SparseImage:

@@ -324,12 +324,13 @@ def _mode(found: Evidence) -> np.ndarray:
     precise = np.linalg.inv(found.covariance)
     logs = found.log + np.linalg.slogdet(precise)[1] / 2
     pull = (precise @ found.move[..., None])[..., 0]
+    # (As products of matrices, squares multiplied out, this takes half the time.)
+    logs, squares = logs - np.sum(pull * found.move, axis=1) / 2, precise.reshape(len(logs), -1)
     move = np.zeros(found.move.shape[1])
     for _ in range(CLIMB):
-        apart = found.move - move
-        density = logs - np.einsum("hi,hij,hj->h", apart, precise, apart) / 2
+        density = logs + pull @ move - squares @ np.outer(move, move).ravel() / 2
         near = np.exp(density - np.max(density))
-        by_move = np.tensordot(near, precise, axes=1)
+        by_move = (near @ squares).reshape(precise.shape[1:])
         before, move = move, np.linalg.solve(by_move, near @ pull)
         change = move - before
         if change @ by_move @ change < REST**2 * np.sum(near):

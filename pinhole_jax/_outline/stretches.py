@@ -203,9 +203,8 @@ def outline_means(
     up, right = coverage.growth(row, column)
     span = lambda x, size: np.maximum(np.minimum(x + 1, size - 1) - np.maximum(x - 1, 0), 1)
     slope[inside] = np.column_stack([right / span(column, W), up / span(row, H)])
-    mean = lambda values: np.stack([np.mean(x[around], axis=1) for x in values.T], axis=1)
-    steepness = mean(np.hypot(*slope.T)[:, None])[:, 0]
-    return OutlineMeans(steepness, mean(slope), mean(spread))
+    means = np.column_stack([np.hypot(*slope.T), slope, spread])[around].mean(axis=1)
+    return OutlineMeans(means[:, 0], means[:, 1:3], means[:, 3:])
 
 
 def _neighbours(

@@ -4,6 +4,7 @@ Both take a while to import, so this is imported where a fit begins.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -78,7 +79,7 @@ class _LevenbergMarquardt(optx.AbstractGaussNewton):
         return ~state.first_step & (small | flat | enough), state.result
 
 
-@eqx.filter_jit
+@partial(jax.jit, static_argnames=("freed", "size"))
 def descended(camera: Camera, problem: Problem, level: Level, px, settled, steps, freed, size):
     """The number of steps until they are shorter than `px` or than this share of a standard error
     (`settled`), at most `steps`; where the last of them ended, and the look at the end. After one

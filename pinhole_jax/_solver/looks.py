@@ -5,10 +5,9 @@ whole window's image and its derivatives.
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -193,7 +192,7 @@ def _weighed(
     return weight, table, jnp.stack([jnp.sum(x, dtype=r.dtype) for x in each])
 
 
-@eqx.filter_jit
+@partial(jax.jit, static_argnames=("freed", "size"))
 def _all_pixels(
     camera: Camera, problem: Problem, level: Level, freed: tuple[str, ...], size: Size | None
 ) -> Sight | Float[Array, "H W c"]:

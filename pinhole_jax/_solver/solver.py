@@ -2,9 +2,9 @@
 
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,6 +18,7 @@ from .._mask.pyramid import LEAST_CELLS, Level
 from .._mask.target import Window, object_window
 from .._numerics.threads import in_threads, some_at_once
 from .._scene.alike import Revolution
+from .._scene.scene import Ball
 from .looks import Origin, View, size_of_looks
 from .moves import Bounds, moved, reported
 from .priors import Prior, no_prior
@@ -309,6 +310,8 @@ class Solver:
         return int(n), np.asarray(path), View.from_look(look, origin)
 
 
-@eqx.filter_jit
-def _stepped(y: Any, camera: Camera, *about: Any) -> Camera:
-    return moved(move_about(camera, *about), y, about[-1])
+@partial(jax.jit, static_argnames="freed")
+def _stepped(
+    y: Any, camera: Camera, ball: Ball, bounds: Bounds | None, scale: Any, freed: tuple[str, ...]
+) -> Camera:
+    return moved(move_about(camera, ball, bounds, scale, freed), y, freed)
