@@ -295,7 +295,8 @@ class Pixel {
     if (!(low < high)) return;
     const double before = a.at(low) - b.at(low), after = a.at(high) - b.at(high);
     if ((before < 0) == (after < 0)) return;
-    halts_.push_back(low + (high - low) * ratio(before, before - after));
+    const double u = low + (high - low) * ratio(before, before - after);
+    if (u > low && u < high) halts_.push_back(u);  // (slopes of the smallest numbers are infinite)
   }
 
   // An arc meets a line where the line cuts its circle, and another arc on a line as well: both
@@ -366,20 +367,34 @@ class Pixel {
 
   // The covered area of a cell. Of many pieces most are hidden in most places, and the time to sweep
   // a place grows as the square of how many meet there: a crowded cell is halved, twice across, then
-  // along, and one that nothing can uncover is passed over. Where halves are about as crowded (a fan,
-  // a bundle) a few times in turn, it is swept as it is.
+  // along, and one that nothing can uncover is passed over. Where halves are about as crowded (a fan)
+  // a few times in turn, it is swept as it is.
   double within(int depth, int barren, bool upward) {
     const Cell& cell = cells_[depth];
     if (cell.first + cell.drops > 0) return cell.box.width() * cell.box.height();
     const size_t count = cell.bars.size();
     if (count <= kFew || depth == kDeepest || barren > kBarren) return swept(cell, upward);
+    const bool along = better_along(cell, depth % 3 == 2);
     double area = 0;
     for (const bool second : {false, true}) {
       Cell& half = cells_[depth + 1];
-      depth % 3 == 2 ? halve_along(cell, second, upward, half) : halve_across(cell, second, upward, half);
+      along ? halve_along(cell, second, upward, half) : halve_across(cell, second, upward, half);
       area += within(depth + 1, 4 * half.bars.size() > 3 * count ? barren + 1 : 0, upward);
     }
     return area;
+  }
+
+  // Whether to halve a cell along, in turn or where that parts bars that most of all run across.
+  static bool better_along(const Cell& cell, bool in_turn) {
+    const Box& box = cell.box;
+    const double u = (box.from + box.to) / 2, v = (box.low + box.high) / 2;
+    size_t across = 0, along = 0;  // bars that each way cuts
+    for (const Bar& bar : cell.bars) {
+      across += bar.u0 < u && u < bar.u1;
+      along += bar.lower() < v && v < bar.upper();
+    }
+    if (8 * std::max(across, along) <= 7 * cell.bars.size()) return in_turn;
+    return 4 * along < across || (in_turn && along < 4 * across);
   }
 
   void halve_across(const Cell& cell, bool second, bool upward, Cell& half) const {
