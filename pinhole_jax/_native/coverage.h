@@ -183,6 +183,13 @@ class Pixel {
     double from, to, low, high;
     double width() const { return to - from; }
     double height() const { return high - low; }
+    double u() const { return (from + to) / 2; }
+    double v() const { return (low + high) / 2; }
+    Box half(bool along, bool second) const {
+      Box box = *this;
+      (along ? second ? box.low : box.high : second ? box.from : box.to) = along ? v() : u();
+      return box;
+    }
   };
   struct Bar {  // the part of a line in a cell
     double u0, u1, v0, v1, slope;
@@ -199,6 +206,10 @@ class Pixel {
     void begin(const Box& given, int corner) {
       box = given, first = corner, drops = 0;
       steps.clear(), bars.clear();
+    }
+    void begin(const Box& given, const Cell& whole) {  // a part of it, as yet without bars
+      begin(given, whole.first);
+      for (const Step& s : whole.steps) add(s);
     }
     void add(const Step& s) {
       if (s.u <= box.from) first += s.layers;
@@ -378,7 +389,8 @@ class Pixel {
     double area = 0;
     for (const bool second : {false, true}) {
       Cell& half = cells_[depth + 1];
-      along ? halve_along(cell, second, upward, half) : halve_across(cell, second, upward, half);
+      half.begin(cell.box.half(along, second), cell);
+      along ? part_along(cell, second, upward, half) : part_across(cell, second, upward, half);
       area += within(depth + 1, 4 * half.bars.size() > 3 * count ? barren + 1 : 0, upward);
     }
     return area;
@@ -386,8 +398,7 @@ class Pixel {
 
   // Whether to halve a cell along, in turn or where that parts bars that most of all run across.
   static bool better_along(const Cell& cell, bool in_turn) {
-    const Box& box = cell.box;
-    const double u = (box.from + box.to) / 2, v = (box.low + box.high) / 2;
+    const double u = cell.box.u(), v = cell.box.v();
     size_t across = 0, along = 0;  // bars that each way cuts
     for (const Bar& bar : cell.bars) {
       across += bar.u0 < u && u < bar.u1;
@@ -397,12 +408,8 @@ class Pixel {
     return 4 * along < across || (in_turn && along < 4 * across);
   }
 
-  void halve_across(const Cell& cell, bool second, bool upward, Cell& half) const {
-    Box box = cell.box;
-    const double middle = (box.from + box.to) / 2;
-    (second ? box.from : box.to) = middle;
-    half.begin(box, cell.first);
-    for (const Step& s : cell.steps) half.add(s);
+  void part_across(const Cell& cell, bool second, bool upward, Cell& half) const {
+    const double middle = cell.box.u();
     for (Bar bar : cell.bars) {
       if (bar.u0 < middle && middle < bar.u1) {
         (second ? bar.u0 : bar.u1) = middle;
@@ -413,12 +420,8 @@ class Pixel {
   }
 
   // What lies below a cell counts as steps of its lower side.
-  void halve_along(const Cell& cell, bool second, bool upward, Cell& half) const {
-    Box box = cell.box;
-    const double middle = (box.low + box.high) / 2;
-    (second ? box.low : box.high) = middle;
-    half.begin(box, cell.first);
-    for (const Step& s : cell.steps) half.add(s);
+  void part_along(const Cell& cell, bool second, bool upward, Cell& half) const {
+    const double middle = cell.box.v();
     for (const Bar& bar : cell.bars) {
       Bar below = bar, above = bar;
       const bool rises = bar.v0 < middle, falls = bar.v1 < middle;
@@ -427,10 +430,11 @@ class Pixel {
         (rises ? below.u1 : below.u0) = (rises ? above.u0 : above.u1) = u;
         (rises ? below.v1 : below.v0) = (rises ? above.v0 : above.v1) = middle;
       }
-      const bool has_below = rises || falls, has_above = !rises || !falls;
-      if (!second && has_below) half.add(below);
-      if (second && has_below) half.add(Step{below.u0, bar.jump}), half.add(Step{below.u1, -bar.jump});
-      if (second && has_above) half.add(above);
+      if (rises || falls) {
+        if (second) half.add(Step{below.u0, bar.jump}), half.add(Step{below.u1, -bar.jump});
+        else half.add(below);
+      }
+      if (second && !(rises && falls)) half.add(above);
     }
   }
 
