@@ -46,6 +46,26 @@ struct MeshData {
   Numbers vertices;
   const int32_t *faces, *edge_vertices, *edge_faces;
   int64_t V, F, E;
+
+  // Without what arrays are filled up with: faces whose vertices are -1, edges between these.
+  MeshData without_padding() const {
+    const auto first = [](int64_t size, auto is_added) {
+      int64_t low = 0;
+      while (low < size) {
+        const int64_t middle = low + (size - low) / 2;
+        if (is_added(middle)) size = middle;
+        else low = middle + 1;
+      }
+      return low;
+    };
+    MeshData own = *this;
+    own.F = first(F, [&](int64_t f) { return faces[3 * f] < 0; });
+    own.E = first(E, [&](int64_t e) { return edge_faces[2 * e] >= own.F; });
+    int32_t last = -1;
+    for (int64_t k = 0; k < 3 * own.F; ++k) last = std::max(last, faces[k]);
+    own.V = std::min(V, int64_t(last) + 1), own.vertices.size = 3 * own.V;
+    return own;
+  }
 };
 
 // --- which way faces look -------------------------------------------------------------------------

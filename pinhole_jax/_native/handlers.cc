@@ -45,7 +45,8 @@ class Views {
     for (int k = 0; k < kGiven; ++k) entries[k] = batch.entry(given_[k], member);
     if (entries == entries_) return false;
     entries_ = entries;
-    scene.mesh = {numbers(2), integers(3), integers(4), integers(5), given_[2].length(0), given_[3].length(0), given_[4].length(0)};
+    const MeshData filled{numbers(2), integers(3), integers(4), integers(5), given_[2].length(0), given_[3].length(0), given_[4].length(0)};
+    scene.mesh = filled.without_padding();
     scene.spheres = {numbers(6), numbers(7), numbers(8), given_[6].length(0)};
     W = integers(9)[0], H = integers(9)[1];
     sound_ = finite(numbers(0)) && finite(numbers(1)) && finite(scene.mesh.vertices) &&
@@ -163,7 +164,11 @@ void pull_all(XLA_FFI_CallFrame* frame) {
     gains.wants_vertices = out[2].size() > 0, gains.wants_frames = out[3].size() > 0;
     Pull(view, views.scene, gains).add(weights.numbers(batch.entry(weights, member)));
     const std::vector<double>* sums[4] = {&gains.film, &gains.lens, &gains.vertices, &gains.frames};
-    for (int k = 0; k < 4; ++k) std::copy_n(sums[k]->begin(), out[k].size(), data_of<Real>(out[k], member));
+    for (int k = 0; k < 4; ++k) {
+      Real* const to = data_of<Real>(out[k], member);
+      const int64_t size = std::min(out[k].size(), int64_t(sums[k]->size()));
+      std::fill(std::copy_n(sums[k]->begin(), size, to), to + out[k].size(), Real(0));
+    }
   }
 }
 

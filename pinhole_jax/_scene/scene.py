@@ -194,8 +194,8 @@ def with_vertices(mesh: Mesh, vertices: Float[Array | np.ndarray, "V 3"]) -> Mes
 def padded(scene: Scene) -> Scene:
     """Return the scene with its mesh's arrays filled up to one of a few sizes.
 
-    Added faces are on no contour, so the silhouette is the same, and meshes of similar size share
-    compiled programs.
+    Added faces have vertices -1, and are on both sides of added edges: no contour's, so that the
+    silhouette is the same. Meshes of similar size share compiled programs.
     """
     mesh = scene.mesh
     if mesh is None or not mesh.edge_faces.shape[0]:
@@ -203,8 +203,8 @@ def padded(scene: Scene) -> Scene:
     V, F, E = _filled_sizes(len(mesh.vertices), len(mesh.faces), len(mesh.edge_faces))
     arrays = lambda m: (m.vertices, m.faces, m.edge_vertices, m.edge_faces)
     # (By NumPy: JAX would compile that for each size; within `grad` its `asarray` is traced.)
-    pairs = zip(arrays(mesh), (V, F, E, E), strict=True)
-    filled = jax.device_put([filled_up(np.asarray(x), size, 0) for x, size in pairs])
+    added = zip(arrays(mesh), (V, F, E, E), (0, -1, 0, F - 1), strict=True)
+    filled = jax.device_put([filled_up(np.asarray(x), size, value) for x, size, value in added])
     return Scene(mesh=eqx.tree_at(arrays, mesh, (*filled,)), spheres=scene.spheres)
 
 
