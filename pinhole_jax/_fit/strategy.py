@@ -188,10 +188,17 @@ def finished(solver: Solver, views: Iterable[Camera]) -> list[Solution]:
     the first of these shows to be far worse than the best. (Coarser ones do not separate a tilt
     from its mirror image, and finer ones do not lead far.)"""
     coarse, *fine = range(max(solver.far - 1, 0), len(solver.levels))
-    begun = _finite([solver.solve(view, [coarse], steps=RULES.steps) for view in views])
-    further = lambda f: f if f.ended else onward(f, solver.solve(f.camera, [coarse]))
-    found = _likely([further(f) for f in _likely(begun, RULES.times**2)])
-    return [onward(f, solver.solve(f.camera, fine)) for f in found] if fine else found
+    begun = _finite(solver.solve_each(views, [coarse], steps=RULES.steps))
+    likely = _likely(begun, RULES.times**2)
+    further = iter(_continued(solver, [f for f in likely if not f.ended], [coarse]))
+    found = _likely([f if f.ended else next(further) for f in likely])
+    return _continued(solver, found, fine) if fine else found
+
+
+def _continued(solver: Solver, found: list[Solution], levels: list[int], *on_stop: OnStop):
+    """Return the solutions that descents from the ends of others lead to."""
+    ends = solver.solve_each([f.camera for f in found], levels, *on_stop)
+    return [onward(*pair) for pair in zip(found, ends, strict=True)]
 
 
 def _likely(found: list[Solution], times: float | None = None) -> list[Solution]:
@@ -210,16 +217,25 @@ def _followed(
     coarsest, *finer = range(len(solver.levels))
     seen: list[Camera] = []
     found: list[Solution] = []
-    for guess in likely:
-        if all(angle(guess, other) > apart for other in seen):
-            found.append(solver.solve(canonical(guess), [coarsest], coarse_px=ROUGH_PX))
-            seen += [guess, found[-1].camera]
-            if len(found) == RULES.tried:
+    is_new = lambda guess, *others: all(angle(guess, x) > apart for x in (*seen, *others))
+    while len(found) < RULES.tried:
+        # (Two at once are the same as one after the other: the second is left if it turns out to
+        # begin where the first one ends.)
+        pair: list[Camera] = []
+        for guess in likely:
+            pair += [guess] if is_new(guess, *pair) else []
+            if len(pair) == 2:
                 break
+        if not pair:
+            break
+        ends = solver.solve_each(map(canonical, pair), [coarsest], coarse_px=ROUGH_PX)
+        for guess, end in zip(pair, ends, strict=True):
+            if is_new(guess) and len(found) < RULES.tried:
+                found.append(end)
+                seen += [guess, end.camera]
     found = _one_of_each(found, solver.freed)[: RULES.followed]
     for level in finer:
-        found = [onward(f, solver.solve(f.camera, [level], on_stop)) for f in found]
-        found = _likely(_one_of_each(found, solver.freed))
+        found = _likely(_one_of_each(_continued(solver, found, [level], on_stop), solver.freed))
     return found
 
 
@@ -243,7 +259,8 @@ def to_the_end(solver: Solver, found: list[Solution]) -> list[Solution]:
     if solver.fine_px <= px:
         look = lambda f: f._replace(view=solver.look(f.camera, solver.finest))
         return [f if f.way else look(f) for f in found]
-    return [onward(f, solver.solve(f.camera, [solver.finest], fine_px=px)) for f in found]
+    ends = solver.solve_each([f.camera for f in found], [solver.finest], fine_px=px)
+    return [onward(*pair) for pair in zip(found, ends, strict=True)]
 
 
 def free_about(solver: Solver, found: Solution, places: Places) -> list[Free]:

@@ -270,6 +270,28 @@ class Solver:
                 return Solution(camera, view, tuple(taken), tuple(way), taken[-1] < most)
             # The view outgrew its window on the way: go on from there with a larger one.
 
+    def solve_each(
+        self,
+        cameras: Iterable[Camera],
+        levels: Sequence[int],
+        on_stop: Callable[[Stop], None] = lambda stop: None,
+        coarse_px: float = COARSE_PX,
+        fine_px: float | None = None,
+        steps: int | None = None,
+    ) -> list[Solution]:
+        """Return what `solve` finds from each camera, as many at once as there are cores."""
+        limits = coarse_px, fine_px, steps
+        if self.weighs_prior:  # (What one look leaves weighs it at the next.)
+            return [self.solve(camera, levels, on_stop, *limits) for camera in cameras]
+        apart = [(replace(self, store=replace(self.store)), camera) for camera in cameras]
+        run = lambda x: x[0].solve(x[1], levels, lambda stop: None, *limits)
+        found = in_threads(run, apart, lambda x: tuple(self.program(x[1], k) for k in levels))
+        for solver, _ in apart:
+            self.store.widen(solver.store)
+        for stop in (stop for f in found for stop in f.way[1:]):
+            on_stop(stop)
+        return found
+
     def descents(
         self, cameras: Iterable[Camera], steps: int, number: int = -1
     ) -> Iterator[Solution]:
