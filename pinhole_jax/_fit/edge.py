@@ -9,7 +9,7 @@ import numpy as np
 from .._camera.camera import Camera
 from .._mask.mask import Mask
 from .._mask.target import Window, as_coverage, inside_of
-from .._outline.stretches import Blocks, OutlinePixels, outline_means
+from .._outline.stretches import Blocks, OutlineMeans
 from .._solver.solver import Solver
 
 #: The normals of a mask's edge are those of a mask that is smoothed over this many px.
@@ -141,15 +141,14 @@ def edge_of(mask: Mask) -> Edge:
 def outline_seen(solver: Solver, camera: Camera, number: int) -> OutlinePoints | None:
     """The outline that a camera sees on a level, None where it sees none."""
     seen = solver.outline(camera, number)
-    place, _, share, rows = OutlinePixels.from_view(seen).weighed()
-    if len(place) < 8 or not np.all(np.isfinite(rows)):
+    around = OutlineMeans.from_origin(seen)
+    if len(around.place) < 8 or not np.all(np.isfinite(around.by_move)):
         return None
-    level, around = seen.level, outline_means(seen, place, rows)
-    px = len(solver.target) / float(level.scale)
+    level, px = seen.level, len(solver.target) / float(seen.level.scale)
     out = units(-around.slope)
-    by_move = around.rows / np.maximum(around.steepness, 1e-3)[:, None]
-    at = place[:, ::-1] + 0.5 + np.asarray(level.origin, float)
-    points = px * (at + out * _beyond_centre(out, share)[:, None])
+    by_move = around.by_move / np.maximum(around.steepness, 1e-3)[:, None]
+    at = around.place[:, ::-1] + 0.5 + np.asarray(level.origin, float)
+    points = px * (at + out * _beyond_centre(out, around.coverage)[:, None])
     # An edge touches as many pixels for each px of its length as its normal's sum of |x| and |y|.
     length = float(np.sum(1 / np.maximum(np.abs(out).sum(axis=1), 1)))
     return OutlinePoints(points, out, px * by_move, px * length, px)

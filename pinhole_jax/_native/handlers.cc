@@ -262,3 +262,20 @@ PINHOLE_HANDLER void pinhole_pixels_read(void* handle, int64_t* cell, double* co
   copy(look->weight, weight), copy(look->residual, residual), copy(look->rows, rows);
   delete look;
 }
+
+// The outline that a look shows, for Python: the numbers of its table, then these, once.
+PINHOLE_HANDLER void* pinhole_outline(void* const* arguments, int64_t model, int64_t* number) {
+  try {
+    const int32_t* size = array(arguments[9], 1).integers(0);
+    auto* table = new std::vector<double>(outline_of(look_of(arguments, model), size[0], size[1]));
+    *number = int64_t(table->size());
+    return table;
+  } catch (const std::exception&) {
+    return nullptr;
+  }
+}
+PINHOLE_HANDLER void pinhole_outline_read(void* handle, double* numbers) {
+  const auto* table = static_cast<std::vector<double>*>(handle);
+  std::copy(table->begin(), table->end(), numbers);
+  delete table;
+}

@@ -30,7 +30,8 @@ def is_available() -> bool:
 def library() -> ctypes.CDLL:
     """The library's functions, for Python; it `is_available`."""
     found = ctypes.CDLL(str(library_path()))
-    found.pinhole_pixels.restype = ctypes.c_void_p
+    for make in (found.pinhole_pixels, found.pinhole_outline):
+        make.restype = ctypes.c_void_p
     return found
 
 

@@ -3,6 +3,10 @@
 // mask's running sums, so a look costs what the outline does.
 #pragma once
 
+#include <cstdlib>
+#include <memory>
+#include <new>
+
 #include "motion.h"
 
 namespace pinhole {
@@ -93,6 +97,8 @@ inline void triangle_of(std::vector<std::vector<double>>& columns, std::vector<d
   }
 }
 
+constexpr double kHidden = 1e-4;  // what shows less of either side shows no outline
+
 class Look {
  public:
   Touched touched;
@@ -113,6 +119,11 @@ class Look {
     for (size_t w = 0; w < ways.size(); ++w)
       for (size_t p = 0; p < P; ++p) rows[w * P + p] *= std::sqrt(weight[p]);
     reduce(ways.size(), known);
+  }
+
+  // Whether a touched pixel has weight and shows the outline. (At a row's ends there is no weight.)
+  bool shows(size_t p) const {
+    return touched.coverage[p] > kHidden && touched.coverage[p] < 1 - kHidden && weight[p] > 0;
   }
 
  private:
@@ -144,7 +155,6 @@ class Look {
   }
 
   void add_pixel(const Mask& mask, size_t p) {
-    constexpr double kHidden = 1e-4;  // what shows less of either side shows no outline
     const int64_t column = touched.cell[p] % (mask.W + 2);
     if (column == 0 || column > mask.W) return;
     const int64_t place = mask.place(touched.cell[p]);
@@ -153,7 +163,7 @@ class Look {
     const double r = residual[p] = std::sqrt(w) * (coverage - target);
     sums.overlap += w * std::min(coverage, target);
     sums.united += w * coverage;
-    if (!(coverage > kHidden && coverage < 1 - kHidden && w > 0)) return;
+    if (!shows(p)) return;
     sums.touched += 1;
     sums.touched_squares += r * r;
     sums.off += std::abs(r) > mask.explained;
@@ -176,5 +186,76 @@ class Look {
 
   double rest_ = 0;
 };
+
+// --- the outline ----------------------------------------------------------------------------------
+
+constexpr int64_t kReach = 2, kAround = (2 * kReach + 1) * (2 * kReach + 1);
+
+// Of each pixel that shows the outline of a level (W x H): row, column, coverage; and the means over
+// the pixels up to `kReach` away each way (nothing beside the level) of how steep coverage is, its
+// slopes to the right and up, and its change by each move. Pixel by pixel.
+inline std::vector<double> outline_of(const Look& look, int64_t W, int64_t H) {
+  struct Near { double steepness = 0, right = 0, up = 0; size_t shown = SIZE_MAX; };
+  const Touched& seen = look.touched;
+  const size_t P = seen.cell.size(), ways = P ? look.rows.size() / P : 0;
+  std::vector<size_t> begin(size_t(H) + 1, P);  // of each row's cells
+  for (int64_t row = H, p = int64_t(P); row-- > 0; begin[row] = size_t(p))
+    while (p > 0 && seen.cell[p - 1] >= row * (W + 2)) --p;
+  const auto covers = [&](int64_t row, int64_t column) -> double {
+    row = std::clamp<int64_t>(row, 0, H - 1), column = std::clamp<int64_t>(column, 0, W - 1);
+    const int64_t cell = row * (W + 2) + column + 1;
+    const auto first = seen.cell.begin() + begin[row], last = seen.cell.begin() + begin[row + 1];
+    const auto next = last - first > 16 ? std::upper_bound(first, last, cell)
+                                        : std::find_if(first, last, [&](int64_t c) { return c > cell; });
+    if (next == first) return seen.before;
+    const size_t k = size_t(next - seen.cell.begin()) - 1;
+    return seen.cell[k] == cell ? seen.coverage[k] : seen.after[k];
+  };
+  const auto span = [](int64_t x, int64_t size) {
+    return double(std::max<int64_t>(std::min(x + 1, size - 1) - std::max<int64_t>(x - 1, 0), 1));
+  };
+  // (What is not written to takes no time.)
+  const int64_t width = W + 2 * kReach;
+  std::unique_ptr<int32_t, decltype(&std::free)> slots(
+      static_cast<int32_t*>(std::calloc(size_t(width * (H + 2 * kReach)), sizeof(int32_t))), &std::free);
+  if (!slots) throw std::bad_alloc();
+  std::vector<Near> known(1);
+  const auto near = [&](int64_t row, int64_t column) -> Near& {
+    int32_t& slot = slots.get()[(row + kReach) * width + column + kReach];
+    if (slot) return known[slot];
+    slot = int32_t(known.size());
+    Near n;
+    if (row >= 0 && row < H && column >= 0 && column < W) {
+      const double right = covers(row, column + 1) - covers(row, column - 1);
+      const double up = covers(row + 1, column) - covers(row - 1, column);
+      n.right = right / span(column, W), n.up = up / span(row, H), n.steepness = std::hypot(n.right, n.up);
+    }
+    known.push_back(n);
+    return known.back();
+  };
+  std::vector<size_t> shown;
+  for (size_t p = 0; p < P; ++p)
+    if (look.shows(p)) shown.push_back(p);
+  const auto row = [&](size_t p) { return seen.cell[p] / (W + 2); };
+  const auto column = [&](size_t p) { return seen.cell[p] % (W + 2) - 1; };
+  std::vector<double> table, changes;
+  for (size_t k = 0; k < shown.size(); ++k) {
+    const size_t p = shown[k];
+    near(row(p), column(p)).shown = k;
+    for (size_t w = 0; w < ways; ++w) changes.push_back(look.rows[w * P + p] / std::sqrt(look.weight[p]));
+  }
+  for (size_t p : shown) {
+    std::vector<double> means(3 + ways, 0);
+    for (int64_t k = 0; k < kAround; ++k) {
+      const Near& n = near(row(p) + k / (2 * kReach + 1) - kReach, column(p) + k % (2 * kReach + 1) - kReach);
+      means[0] += n.steepness, means[1] += n.right, means[2] += n.up;
+      if (n.shown == SIZE_MAX) continue;
+      for (size_t w = 0; w < ways; ++w) means[3 + w] += changes[n.shown * ways + w];
+    }
+    table.insert(table.end(), {double(row(p)), double(column(p)), seen.coverage[p]});
+    for (double sum : means) table.push_back(sum / kAround);
+  }
+  return table;
+}
 
 }  // namespace pinhole

@@ -16,6 +16,8 @@ from .rasteriser import scene_arrays, variables_of
 
 #: XLA's numbers of array types.
 TYPES = {np.dtype(np.int32): 4, np.dtype(np.float32): 11, np.dtype(np.float64): 12}
+#: An array in XLA's form for handlers: its size, extensions, type, data, rank, axes.
+BUFFER = np.dtype("u8, u8, i4, u8, i8, u8", align=True)
 
 
 class Sight(NamedTuple):
@@ -99,24 +101,41 @@ def look(
 
 def pixels(sight: Sight, scene: Scene, level: MaskLevel, model: int) -> TouchedPixels:
     """The pixels of a look: NumPy arrays, one entry a touched pixel."""
-    none = np.zeros((0, len(sight.film_by_move) + 1), np.asarray(sight.film).dtype)
-    given = *_operands(sight, scene, level), none
-    arrays = [np.ascontiguousarray(x) for x in given]
-    buffers = [_Buffer.from_array(x) for x in arrays]
-    pointers = (ctypes.POINTER(_Buffer) * len(buffers))(*map(ctypes.pointer, buffers))
-    number, before, own = ctypes.c_int64(), ctypes.c_uint8(), library()
-    facts = ctypes.c_int64(model), ctypes.byref(number), ctypes.byref(before)
-    handle = own.pinhole_pixels(pointers, *facts)
-    if handle is None:
-        raise MemoryError("no memory for the pixels of a look")
-    P, n = number.value, len(sight.film_by_move)
+    number, before, n = ctypes.c_int64(), ctypes.c_uint8(), len(sight.film_by_move)
+    facts = ctypes.byref(number), ctypes.byref(before)
+    read = _called("pinhole_pixels", sight, scene, level, model, *facts)
+    P = number.value
     cell, after = np.empty(P, np.int64), np.empty(P, bool)
     coverage, weight, residual = np.empty((3, P))
     rows = np.empty((n, P))
-    arrays = cell, coverage, after, weight, residual, rows
-    results = (x.ctypes.data_as(ctypes.c_void_p) for x in arrays)
-    own.pinhole_pixels_read(ctypes.c_void_p(handle), *results)
+    read(cell, coverage, after, weight, residual, rows)
     return TouchedPixels(cell, coverage, weight, residual, after, bool(before.value), rows.T)
+
+
+def outline(sight: Sight, scene: Scene, level: MaskLevel, model: int) -> Float[np.ndarray, "P k"]:
+    """The outline that a look shows, a pixel a row: row, column, coverage; and means about it: how
+    steep coverage is, its slope to the right and up, its derivatives by moves."""
+    number = ctypes.c_int64()
+    read = _called("pinhole_outline", sight, scene, level, model, ctypes.byref(number))
+    table = np.empty(number.value)
+    read(table)
+    return table.reshape(-1, 6 + len(sight.film_by_move))
+
+
+def _called(
+    name: str, sight: Sight, scene: Scene, level: MaskLevel, model: int, *facts: Any
+) -> Callable[..., None]:
+    """Call a function of the library that makes arrays, and states `facts` on them; the function
+    that reads these, once."""
+    none = np.zeros((0, len(sight.film_by_move) + 1), np.asarray(sight.film).dtype)
+    arrays = [np.ascontiguousarray(x) for x in (*_operands(sight, scene, level), none)]
+    pointers, *_pointed_to = _buffers(arrays)
+    data = lambda array: ctypes.c_void_p(array.ctypes.data)
+    make, read_into = getattr(library(), name), getattr(library(), f"{name}_read")
+    handle = make(data(pointers), ctypes.c_int64(model), *facts)
+    if handle is None:
+        raise MemoryError("no memory for the pixels of a look")
+    return lambda *given: read_into(ctypes.c_void_p(handle), *map(data, given))
 
 
 def _operands(sight: Sight, scene: Scene, level: MaskLevel) -> list[Any]:
@@ -126,20 +145,14 @@ def _operands(sight: Sight, scene: Scene, level: MaskLevel) -> list[Any]:
     return [*view, level.size, *moves, *level[1:]]
 
 
-class _Buffer(ctypes.Structure):
-    """An array in XLA's form for handlers."""
-
-    _fields_ = (
-        ("struct_size", ctypes.c_size_t),
-        ("extension", ctypes.c_void_p),
-        ("dtype", ctypes.c_int),
-        ("data", ctypes.c_void_p),
-        ("rank", ctypes.c_int64),
-        ("dims", ctypes.POINTER(ctypes.c_int64)),
-    )
-
-    @classmethod
-    def from_array(cls, array: np.ndarray) -> "_Buffer":
-        dims = (ctypes.c_int64 * array.ndim)(*array.shape)
-        size, address = ctypes.sizeof(cls), array.ctypes.data
-        return cls(size, None, TYPES[array.dtype], address, array.ndim, dims)
+def _buffers(arrays: list[np.ndarray]) -> tuple[np.ndarray, ...]:
+    """Pointers to arrays in XLA's form for handlers, and what these point to."""
+    axes = np.array([n for x in arrays for n in x.shape], np.int64)
+    begin, axis = axes.ctypes.data, 0
+    buffers = np.empty(len(arrays), BUFFER)
+    for k, x in enumerate(arrays):
+        address = x.__array_interface__["data"][0]
+        buffers[k] = BUFFER.itemsize, 0, TYPES[x.dtype], address, x.ndim, begin + 8 * axis
+        axis += x.ndim
+    pointers = buffers.ctypes.data + BUFFER.itemsize * np.arange(len(arrays), dtype=np.uintp)
+    return pointers, buffers, axes

@@ -182,29 +182,37 @@ def quantised(view: View) -> np.ndarray:
 
 
 class OutlineMeans(NamedTuple):
-    """Means over a block about each pixel of an outline: how steep coverage is there (P,), its
-    slope by columns and by rows (P, 2), and what some rows (P, k) hold."""
+    """The pixels with weight that show an outline, and means over a block about each.
 
+    - `place` (P, 2): row, from the bottom of the level's window, and column; `coverage` (P,).
+    - `steepness` (P,), `slope` (P, 2): of coverage, the latter by columns and by rows.
+    - `by_move` (P, n): its derivatives by the solver's moves.
+    """
+
+    place: np.ndarray
+    coverage: np.ndarray
     steepness: np.ndarray
     slope: np.ndarray
-    rows: np.ndarray
+    by_move: np.ndarray
 
-
-def outline_means(
-    view: View | Origin, place: np.ndarray, rows: np.ndarray, reach: int = 2
-) -> OutlineMeans:
-    """Return means over the pixels up to `reach` away each way from those (P, 2) of an outline;
-    `rows` (P, k) are 0 beside it, and all is beside the window."""
-    coverage = Coverage.from_view(view)
-    row, column, inside, around = _neighbours(place, coverage.shape, reach)
-    slope, spread = np.zeros((len(row), 2)), np.zeros((len(row), rows.shape[1]))
-    spread[around[:, around.shape[1] // 2]] = rows
-    row, column, (H, W) = row[inside], column[inside], coverage.shape
-    up, right = coverage.growth(row, column)
-    span = lambda x, size: np.maximum(np.minimum(x + 1, size - 1) - np.maximum(x - 1, 0), 1)
-    slope[inside] = np.column_stack([right / span(column, W), up / span(row, H)])
-    means = np.column_stack([np.hypot(*slope.T), slope, spread])[around].mean(axis=1)
-    return OutlineMeans(means[:, 0], means[:, 1:3], means[:, 3:])
+    @classmethod
+    def from_origin(cls, origin: Origin, reach: int = 2) -> "OutlineMeans":
+        """Means over the pixels up to `reach` away each way; all is 0 beside the window, and
+        derivatives are beside the outline."""
+        table = origin.outline
+        if table is not None:
+            return cls(table[:, :2], table[:, 2], table[:, 3], table[:, 4:6], table[:, 6:])
+        place, _, share, rows = OutlinePixels.from_view(origin).weighed()
+        coverage = Coverage.from_view(origin)
+        row, column, inside, around = _neighbours(place, coverage.shape, reach)
+        slope, spread = np.zeros((len(row), 2)), np.zeros((len(row), rows.shape[1]))
+        spread[around[:, around.shape[1] // 2]] = rows
+        row, column, (H, W) = row[inside], column[inside], coverage.shape
+        up, right = coverage.growth(row, column)
+        span = lambda x, size: np.maximum(np.minimum(x + 1, size - 1) - np.maximum(x - 1, 0), 1)
+        slope[inside] = np.column_stack([right / span(column, W), up / span(row, H)])
+        means = np.column_stack([np.hypot(*slope.T), slope, spread])[around].mean(axis=1)
+        return cls(place, share, means[:, 0], means[:, 1:3], means[:, 3:])
 
 
 def _neighbours(

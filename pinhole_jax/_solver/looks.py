@@ -243,12 +243,23 @@ class Origin:
     @cached_property
     def pixels(self) -> TouchedPixels:
         """The pixels that the outline touches, with the residuals' derivatives."""
-        camera, problem, level = self.camera, self.problem, self.level
-        seen = _all_pixels(camera, problem, level, self.freed, self.size)
-        if isinstance(seen, Sight):
-            of_mask = _mask_of(np, problem.pyramid, level)
-            return native.pixels(seen, problem.scene, of_mask, model_of(camera.lens))
-        return _touched(np.asarray(seen), level)
+        if self.size is None:
+            return native.pixels(*self._given_to_library)
+        return _touched(np.asarray(self._all_pixels), self.level)
+
+    @property
+    def outline(self) -> Float[np.ndarray, "P k"] | None:
+        """The outline by the library, as `native.outline` has it; None where that does not look."""
+        return None if self.size is not None else native.outline(*self._given_to_library)
+
+    @property
+    def _all_pixels(self) -> Any:
+        return _all_pixels(self.camera, self.problem, self.level, self.freed, self.size)
+
+    @property
+    def _given_to_library(self) -> tuple[Sight, Scene, MaskLevel, int]:
+        of_mask = _mask_of(np, self.problem.pyramid, self.level)
+        return self._all_pixels, self.problem.scene, of_mask, model_of(self.camera.lens)
 
 
 @dataclass(frozen=True, eq=False)
