@@ -28,8 +28,13 @@ def skew(vector: np.ndarray) -> np.ndarray:
 
 def angle(a: Camera, b: Camera) -> float:
     """Return the angle between two cameras' orientations (rad)."""
-    chord = np.linalg.norm(axes_of(a) - axes_of(b)) / 8**0.5
-    return float(2 * np.arcsin(min(chord, 1)))
+    return float(angles(axes_of(a), axes_of(b)))
+
+
+def angles(axes: Float[np.ndarray, "3 3"], others: Float[np.ndarray, "*n 3 3"]) -> np.ndarray:
+    """Return the angles (*n,) between axes and others (rad)."""
+    chord = np.sqrt(np.sum((others - axes) ** 2, axis=(-2, -1)) / 8)
+    return 2 * np.arcsin(np.minimum(chord, 1))
 
 
 def distinct(

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from .._camera.axes import angle, axes_of
+from .._camera.axes import angle, angles, axes_of
 from .._camera.camera import Camera
 from .._mask.mask import Mask
 from .._mask.search import aimed, guesses
@@ -215,24 +215,24 @@ def _followed(
 ) -> list[Solution]:
     """Return the cameras that the first few guesses, so far apart, lead to."""
     coarsest, *finer = range(len(solver.levels))
-    seen: list[Camera] = []
+    seen: list[np.ndarray] = []
     found: list[Solution] = []
-    is_new = lambda guess, *others: all(angle(guess, x) > apart for x in (*seen, *others))
+    is_new = lambda axes, others: not others or bool(np.min(angles(axes, np.stack(others))) > apart)
     while len(found) < RULES.tried:
         # (Two at once are the same as one after the other: the second is left if it turns out to
         # begin where the first one ends.)
         pair: list[Camera] = []
         for guess in likely:
-            pair += [guess] if is_new(guess, *pair) else []
+            pair += [guess] if is_new(axes_of(guess), [*seen, *map(axes_of, pair)]) else []
             if len(pair) == 2:
                 break
         if not pair:
             break
         ends = solver.solve_each(map(canonical, pair), [coarsest], coarse_px=ROUGH_PX)
         for guess, end in zip(pair, ends, strict=True):
-            if is_new(guess) and len(found) < RULES.tried:
+            if is_new(axes_of(guess), seen) and len(found) < RULES.tried:
                 found.append(end)
-                seen += [guess, end.camera]
+                seen += [axes_of(guess), axes_of(end.camera)]
     found = _one_of_each(found, solver.freed)[: RULES.followed]
     for level in finer:
         found = _likely(_one_of_each(_continued(solver, found, [level], on_stop), solver.freed))
