@@ -6,11 +6,13 @@ import trimesh
 from chosen import long
 from masks import wavy
 from numpy.random import default_rng
-from oracles import balls, body, drawn, lump, turned, usual_camera
+from oracles import balls, body, drawn, lump, single, turned, usual_camera
 from results import check_found, degrees
 from scipy.spatial.transform import Rotation
+from views import solver_of
 
 import pinhole_jax as pj
+from pinhole_jax._solver.moves import canonical
 
 SCENE = lump(3)
 
@@ -33,6 +35,27 @@ def test_camera_is_found_with_no_start(subdivisions):
         check_found(fit, truth, 1e-6)
         assert fit.modes == ()
         assert float(fit.camera.phi) == 0.6
+
+
+def test_descents_side_by_side_are_those_one_after_another():
+    """Also where one comes to see the object beside the window that it began with."""
+    truth = anywhere(1).replace(phi=1.2)
+    shown = drawn(truth, SCENE)
+    near, beside = truth, truth.replace(p=np.asarray(truth.p) + np.asarray(truth.u))
+    starts = [canonical(single(camera)) for camera in (near, beside, near)]
+    begin = lambda: solver_of(truth, SCENE, shown)[0]
+    solver, alone = begin(), begin()
+    assert solver.holds(starts[0])
+    assert not solver.holds(starts[1])
+    told: list = []
+    together = solver.solve_each(starts, [0, solver.finest], told.append, steps=4)
+    each = [alone.solve(camera, [0, alone.finest], steps=4) for camera in starts]
+    assert solver.store.window == alone.store.window == (0, 0, truth.W, truth.H)
+    assert [f.steps for f in together] == [f.steps for f in each]
+    assert len(told) == sum(len(f.steps) for f in each)
+    for ours, theirs in zip(together, each, strict=True):
+        np.testing.assert_allclose(ours.camera.e, theirs.camera.e, atol=1e-6)
+        np.testing.assert_allclose(ours.view.squares, theirs.view.squares, rtol=1e-5, atol=1e-9)
 
 
 @pytest.mark.long

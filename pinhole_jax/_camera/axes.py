@@ -28,12 +28,12 @@ def skew(vector: np.ndarray) -> np.ndarray:
 
 def angle(a: Camera, b: Camera) -> float:
     """Return the angle between two cameras' orientations (rad)."""
-    return float(angles(axes_of(a), axes_of(b)))
+    return float(angles(axes_of(a), axes_of(b)[None])[0])
 
 
-def angles(axes: Float[np.ndarray, "3 3"], others: Float[np.ndarray, "*n 3 3"]) -> np.ndarray:
-    """Return the angles (*n,) between axes and others (rad)."""
-    chord = np.sqrt(np.sum((others - axes) ** 2, axis=(-2, -1)) / 8)
+def angles(axes: Float[np.ndarray, "3 3"], others: Float[np.ndarray, "n 3 3"]) -> np.ndarray:
+    """Return the angles (n,) between axes and others (rad)."""
+    chord = np.sqrt(np.sum((others - axes) ** 2, axis=(1, 2)) / 8)
     return 2 * np.arcsin(np.minimum(chord, 1))
 
 

@@ -16,7 +16,7 @@ from .._rules import RULES
 from .._solver.moves import canonical
 from .._solver.parameters import components, focal_is_free
 from .._solver.problem import FINE_PX
-from .._solver.solver import Solution, Solver, Stop, onward
+from .._solver.solver import Solution, Solver, Stop
 from .._solver.uncertainty import free_turns
 from .places import (
     Free,
@@ -190,15 +190,9 @@ def finished(solver: Solver, views: Iterable[Camera]) -> list[Solution]:
     coarse, *fine = range(max(solver.far - 1, 0), len(solver.levels))
     begun = _finite(solver.solve_each(views, [coarse], steps=RULES.steps))
     likely = _likely(begun, RULES.times**2)
-    further = iter(_continued(solver, [f for f in likely if not f.ended], [coarse]))
+    further = iter(solver.continued([f for f in likely if not f.ended], [coarse]))
     found = _likely([f if f.ended else next(further) for f in likely])
-    return _continued(solver, found, fine) if fine else found
-
-
-def _continued(solver: Solver, found: list[Solution], levels: list[int], *on_stop: OnStop):
-    """Return the solutions that descents from the ends of others lead to."""
-    ends = solver.solve_each([f.camera for f in found], levels, *on_stop)
-    return [onward(*pair) for pair in zip(found, ends, strict=True)]
+    return solver.continued(found, fine) if fine else found
 
 
 def _likely(found: list[Solution], times: float | None = None) -> list[Solution]:
@@ -235,7 +229,7 @@ def _followed(
                 seen += [axes_of(guess), axes_of(end.camera)]
     found = _one_of_each(found, solver.freed)[: RULES.followed]
     for level in finer:
-        found = _likely(_one_of_each(_continued(solver, found, [level], on_stop), solver.freed))
+        found = _likely(_one_of_each(solver.continued(found, [level], on_stop), solver.freed))
     return found
 
 
@@ -259,8 +253,7 @@ def to_the_end(solver: Solver, found: list[Solution]) -> list[Solution]:
     if solver.fine_px <= px:
         look = lambda f: f._replace(view=solver.look(f.camera, solver.finest))
         return [f if f.way else look(f) for f in found]
-    ends = solver.solve_each([f.camera for f in found], [solver.finest], fine_px=px)
-    return [onward(*pair) for pair in zip(found, ends, strict=True)]
+    return solver.continued(found, [solver.finest], fine_px=px)
 
 
 def free_about(solver: Solver, found: Solution, places: Places) -> list[Free]:

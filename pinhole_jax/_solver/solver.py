@@ -279,7 +279,7 @@ class Solver:
         fine_px: float | None = None,
         steps: int | None = None,
     ) -> list[Solution]:
-        """Return what `solve` finds from each camera, as many at once as there are cores."""
+        """The solutions from each camera, as `solve` finds them; as many at once as cores."""
         limits = coarse_px, fine_px, steps
         if self.weighs_prior:  # (What one look leaves weighs it at the next.)
             return [self.solve(camera, levels, on_stop, *limits) for camera in cameras]
@@ -291,6 +291,17 @@ class Solver:
         for stop in (stop for f in found for stop in f.way[1:]):
             on_stop(stop)
         return found
+
+    def continued(
+        self,
+        found: Sequence[Solution],
+        levels: Sequence[int],
+        on_stop: Callable[[Stop], None] = lambda stop: None,
+        fine_px: float | None = None,
+    ) -> list[Solution]:
+        """The solutions after further descents from their ends."""
+        ends = self.solve_each((f.camera for f in found), levels, on_stop, fine_px=fine_px)
+        return [onward(*pair) for pair in zip(found, ends, strict=True)]
 
     def descents(
         self, cameras: Iterable[Camera], steps: int, number: int = -1

@@ -43,8 +43,8 @@ class Store:
     _made: list[tuple[np.ndarray, Weights, Any, Levels]] = field(default_factory=list)
 
     def widen(self, other: "Store") -> None:
-        """Look at what a copy looks at, if that has come to see more."""
-        if other.window != self.window:
+        """Look at what a copy looks at, if that has come to see more: the whole film."""
+        if other.window.W * other.window.H > self.window.W * self.window.H:
             self.window, self._made = other.window, other._made
 
     def levels(
