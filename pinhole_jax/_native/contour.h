@@ -61,6 +61,7 @@ struct MeshData {
     MeshData own = *this;
     own.F = first(F, [&](int64_t f) { return faces[3 * f] < 0; });
     own.E = first(E, [&](int64_t e) { return edge_faces[2 * e] >= own.F; });
+    if (V <= own.F) return own;  // (Which of few vertices are added is not worth a look at all faces.)
     int32_t last = -1;
     for (int64_t k = 0; k < 3 * own.F; ++k) last = std::max(last, faces[k]);
     own.V = std::min(V, int64_t(last) + 1), own.vertices.size = 3 * own.V;
