@@ -298,15 +298,16 @@ struct ContourEdges {
 
 inline ContourEdges contour_of(const Film& film, const MeshData& m) {
   ContourEdges found;
-  bool& closed = found.closed;
   const std::vector<uint8_t> front = front_facing(m, film.eye);
-  for (int64_t e = 0; e < m.E && closed; ++e) closed = m.edge_faces[2 * e + 1] >= 0;
+  int32_t least = 0;
   for (int64_t e = 0; e < m.E; ++e) {
     const int32_t first = m.edge_faces[2 * e], second = m.edge_faces[2 * e + 1];
+    least = std::min(least, second);
     if (!within(first, m.F) || second >= m.F) continue;
     if (second < 0 || front[second] != front[first]) found.edges.push_back(int32_t(2 * e + front[first]));
   }
-  if (m.F > 0 && reaches_behind(m, film)) found.base = layers_on_the_left(m, film, front, closed);
+  found.closed = least == 0;
+  if (m.F > 0 && reaches_behind(m, film)) found.base = layers_on_the_left(m, film, front, found.closed);
   return found;
 }
 
