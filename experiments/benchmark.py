@@ -154,7 +154,7 @@ def draw_loop(found: dict, path: Path) -> None:
     panels = []
     for by, rows in (
         ("faces", [r for r in found["table"] if r["px"] == AT_PX]),
-        ("px", [r for r in found["table"] if r["faces"] > AT_FACES / 1.1]),
+        ("px", [r for r in found["table"] if 1 / 1.1 < r["faces"] / AT_FACES < 1.1]),
     ):
         names = [k for k in rows[0] if k in ("mask", "jacobian", "fit") or k.endswith("loop")]
         lines = {}
