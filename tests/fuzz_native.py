@@ -22,7 +22,7 @@ from slopes import both_ways
 import pinhole_jax as pj
 from pinhole_jax._camera.camera import film_map
 from pinhole_jax._native.library import is_available
-from pinhole_jax._native.look import MaskLevel, Sight, look, pixels
+from pinhole_jax._native.look import MaskLevel, Sight, look, outline, pixels
 from pinhole_jax._native.rasteriser import MODELS, Variables, _call, _image, coverage, operands
 from pinhole_jax._silhouette.silhouette import in_arrays
 
@@ -147,7 +147,7 @@ def compared(random):
 
 
 def looked(random):
-    """A look at a view, and its pixels."""
+    """A look at a view, its pixels, and its outline."""
     view = view_of(random)
     n, real = random.count(8, least=1), view.film.dtype
     vertices = view.scene.vertices[: random.shapes.choice([0, 40])]
@@ -168,6 +168,9 @@ def looked(random):
     LOOK(*given, view.model)
     found = pixels(sight, view.scene, level, view.model)
     assert np.all((found.coverage >= 0) & (found.coverage <= 1))
+    table = outline(sight, view.scene, level, view.model)
+    assert len(table) <= len(found.cell)
+    assert np.all((table[:, 2] > 0) & (table[:, 2] < 1))
 
 
 def main():

@@ -58,6 +58,19 @@ def test_descents_side_by_side_are_those_one_after_another():
         np.testing.assert_allclose(ours.view.squares, theirs.view.squares, rtol=1e-5, atol=1e-9)
 
 
+@pytest.mark.parametrize("seed", [2, 14])
+def test_camera_that_is_held_has_no_twins(seed):
+    """A box looks alike from several sides; where they are is not asked."""
+    plain = trimesh.creation.box([1, 1.6, 0.6])
+    scene, truth, random = body(plain.vertices, plain.faces), anywhere(seed), default_rng(seed)
+    px, over = random.choice([0.7, 1.5, 2.5]), random.choice([6, 16, 30])
+    mask = wavy(drawn(truth, scene), random, px, over)
+    mask[:, : int(40 + 10 * random.random())] = False
+    fit = pj.fit_camera(scene, mask, truth.replace(phi=0.69), "phi")
+    assert fit.modes == ()
+    np.testing.assert_allclose(fit.camera.e, truth.e, atol=1e-9)
+
+
 @pytest.mark.long
 def test_ball_is_found_with_no_start():
     """No roll of a disc fits better than the next."""

@@ -333,14 +333,13 @@ def _leaves_nothing(solver: Solver, view: View, mask: Mask) -> bool:
 def looked_about(refiner: Refiner, best: Candidate) -> list[Candidate]:
     """Candidates round about one: from the start, what looks alike, and what is tilted. (An outline
     that is all too far out or in tilts what is flat, and steps that know it do not lead back.)"""
-    solver, camera, start = refiner.solver, best.found.camera, refiner.start
-    again = [*([] if start is None else [start]), *lookalikes(solver, camera)]
-    found = refiner.proposals(again, best)
-    if turns_freely(solver.freed):
-        best, *_ = refiner.likeliest([best, *found])
-        tilts = tilted(best.found.camera, solver.subject.ball.centre)
-        found += refiner.proposals(tilts, best, RULES.followed)
-    return found
+    solver, again = refiner.solver, [] if refiner.start is None else [refiner.start]
+    if not turns_freely(solver.freed):
+        return refiner.proposals(again, best)
+    found = refiner.proposals([*again, *lookalikes(solver, best.found.camera)], best)
+    best, *_ = refiner.likeliest([best, *found])
+    tilts = tilted(best.found.camera, solver.subject.ball.centre)
+    return found + refiner.proposals(tilts, best, RULES.followed)
 
 
 def lookalikes(solver: Solver, camera: Camera) -> list[Camera]:

@@ -123,8 +123,7 @@ class Refiner:
         elif said.log < log - 3 * RULES.hopeless:
             return None
         if said is not None:
-            at_rest = [] if best is None or not best.found.ended else [best]
-            known = [c.found.camera for c in [*at_rest, *done]]
+            known = [c.found.camera for c in done]
             least = max((c.log - self.cost(c.found.camera) for c in others), default=-np.inf)
             # (Of a mask that is not drawn what leaves equal squares stays, however likely.)
             told = best is not None or (bool(done) and is_drawn(done[0].errors))

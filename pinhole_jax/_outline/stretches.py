@@ -13,6 +13,8 @@ from .._solver.looks import HIDDEN, Origin, View
 #: What a pixel's coverage differs by counts for the stretch nearest to it, this many px away at
 #: most.
 NEAREST = 16.0
+#: How far away pixels are (px) that means about an outline's pixel are over; the library's, too.
+REACH = 2
 #: An edge nearly follows the rows, or columns, if its slope is less.
 LEVEL = 1 / 8
 #: As many terms of a sawtooth's Fourier series, and the variance that pixels have by themselves,
@@ -196,15 +198,15 @@ class OutlineMeans(NamedTuple):
     by_move: np.ndarray
 
     @classmethod
-    def from_origin(cls, origin: Origin, reach: int = 2) -> "OutlineMeans":
-        """Means over the pixels up to `reach` away each way; all is 0 beside the window, and
+    def from_origin(cls, origin: Origin) -> "OutlineMeans":
+        """Means over the pixels up to `REACH` away each way; all is 0 beside the window, and
         derivatives are beside the outline."""
         table = origin.outline
         if table is not None:
             return cls(table[:, :2], table[:, 2], table[:, 3], table[:, 4:6], table[:, 6:])
         place, _, share, rows = OutlinePixels.from_view(origin).weighed()
         coverage = Coverage.from_view(origin)
-        row, column, inside, around = _neighbours(place, coverage.shape, reach)
+        row, column, inside, around = _neighbours(place, coverage.shape, REACH)
         slope, spread = np.zeros((len(row), 2)), np.zeros((len(row), rows.shape[1]))
         spread[around[:, around.shape[1] // 2]] = rows
         row, column, (H, W) = row[inside], column[inside], coverage.shape

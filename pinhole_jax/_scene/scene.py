@@ -194,8 +194,8 @@ def with_vertices(mesh: Mesh, vertices: Float[Array | np.ndarray, "V 3"]) -> Mes
 def padded(scene: Scene) -> Scene:
     """Return the scene with its mesh's arrays filled up to one of a few sizes.
 
-    Added faces have vertices -1, and are on both sides of added edges: no contour's, so that the
-    silhouette is the same. Meshes of similar size share compiled programs.
+    Added faces have vertices -1; added edges have the last face on both sides. They are no
+    contour's, so the silhouette is the same. Meshes of similar size share compiled programs.
     """
     mesh = scene.mesh
     if mesh is None or not mesh.edge_faces.shape[0]:

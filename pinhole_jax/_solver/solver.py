@@ -159,15 +159,13 @@ class Solver:
         a prior or other views count, whose residuals are weighed against that level's."""
         return min(FAR_LEVEL, self.finest) if self.prior is None else self.finest
 
-    @property
-    def problem(self) -> Problem:
+    def _problem(self, levels: Levels) -> Problem:
         """The problem that the fit's programs solve, beside a camera and a level."""
         known = self.prior or no_prior(self.freed, self.dtype)
         if known.in_sigmas:
             noise = UNSEEN_NOISE if self.store.noise is None else self.store.noise
             known = known.times(np.asarray(noise, self.dtype))
-        subject, pyramid = self.subject, self._levels.pyramid
-        about = subject.scene, pyramid, subject.pivot
+        about = self.subject.scene, levels.pyramid, self.subject.pivot
         return Problem(*about, self.bounds, known, self.motions)
 
     @property
@@ -178,7 +176,7 @@ class Solver:
     def look(self, camera: Camera, level: int = -1) -> View:
         """The view at a camera, on a level (the last)."""
         self._widen(camera)
-        view = self._further(camera, self.levels[level], 0.0, 1)[-1]
+        view = self._further(camera, level, 0.0, 1)[-1]
         share = float(self.levels[level].scale) / len(self.target)
         weight = float(view.sums.weight) + share**2 * self._levels.beside
         return replace(view, sums=view.sums._replace(weight=np.asarray(weight)))
@@ -186,8 +184,9 @@ class Solver:
     def outline(self, camera: Camera, level: int = -1) -> Origin:
         """What of a look tells the pixels that the outline touches, on a level (the last)."""
         self._widen(camera)
-        size = size_of_looks(self.levels)
-        return Origin(camera, self.problem, self.levels[level], self.freed, size)
+        levels = self._levels
+        size = size_of_looks(levels.each)
+        return Origin(camera, self._problem(levels), levels.each[level], self.freed, size)
 
     def looks(self, cameras: Sequence[Camera], level: int = -1) -> list[View]:
         """The view at each camera, as many at once as there are cores."""
@@ -252,7 +251,7 @@ class Solver:
                 level = self.levels[number]
                 finest = number == self.finest
                 tolerance = (fine_px or self.fine_px) if finest else coarse_px
-                n, path, end = self._further(camera, level, tolerance, most)
+                n, path, end = self._further(camera, number, tolerance, most)
                 # (Steps past `RECORDED` are told together.)
                 each = path[max(len(path) - n, 0) : -1] if self.record else ()
                 stops = [Stop(self.step(camera, number, y), level, 1) for y in each]
@@ -283,10 +282,15 @@ class Solver:
         limits = coarse_px, fine_px, steps
         if self.weighs_prior:  # (What one look leaves weighs it at the next.)
             return [self.solve(camera, levels, on_stop, *limits) for camera in cameras]
-        apart = [(replace(self, store=replace(self.store)), camera) for camera in cameras]
+        cameras = [*cameras]
+        for camera in cameras:
+            self._widen(camera)
+        # (Programs are of levels, which the copies of the store then have in common.)
+        programs = [tuple(self.program(camera, k) for k in levels) for camera in cameras]
+        own = [replace(self, store=replace(self.store)) for _ in cameras]
         run = lambda x: x[0].solve(x[1], levels, lambda stop: None, *limits)
-        found = in_threads(run, apart, lambda x: tuple(self.program(x[1], k) for k in levels))
-        for solver, _ in apart:
+        found = in_threads(run, [*zip(own, cameras, programs, strict=True)], lambda x: x[2])
+        for solver in own:
             self.store.widen(solver.store)
         for stop in (stop for f in found for stop in f.way[1:]):
             on_stop(stop)
@@ -315,31 +319,35 @@ class Solver:
         for some in some_at_once(cameras):
             for camera in some:
                 self._widen(camera)
-            further = lambda camera: self._further(camera, self.levels[number], px, steps)
+            further = lambda camera: self._further(camera, number, px, steps)
             ends = in_threads(further, some, lambda camera: self.program(camera, number))
             for n, _, view in ends:
                 yield Solution(view.camera, view, (n,), ended=n < steps)
 
     def program(self, camera: Camera, level: int) -> Hashable:
         """A key of the compiled program that looks at a camera."""
-        leaves, tree = jax.tree.flatten(self._given(camera, self.levels[level], 0.0, 1))
+        leaves, tree = jax.tree.flatten(self._given(camera, level, 0.0, 1))
         return tree, *((x.shape, x.dtype) if hasattr(x, "shape") else x for x in leaves)
 
-    def _given(self, camera: Camera, level: Level, px: float, steps: int) -> tuple[Any, ...]:
-        """What the fit's program is given."""
+    def _given(self, camera: Camera, number: int, px: float, steps: int) -> tuple[Any, ...]:
+        """What the fit's program is given. (Levels are read once: another thread may widen the
+        window.)"""
+        levels = self._levels
         settled = 0.0 if self.kind.exact else SETTLED
         ends = *np.asarray([px, settled], self.dtype), np.asarray(steps, np.int32)
-        return camera, self.problem, level, *ends, self.freed, size_of_looks(self.levels)
+        problem, level = self._problem(levels), levels.each[number]
+        return camera, problem, level, *ends, self.freed, size_of_looks(levels.each)
 
-    def _further(self, camera: Camera, level: Level, px: float, steps: int):
+    def _further(self, camera: Camera, number: int, px: float, steps: int):
         """Steps taken, path and last view from a camera. (The program is the same for a single
         look.)"""
         # (optimistix takes a third of this package's import.)
         from .levenberg_marquardt import descended
 
-        given = self._given(camera, level, px, steps)
+        given = self._given(camera, number, px, steps)
         n, path, look = descended(*given)
-        origin = Origin(look.camera, given[1], level, self.freed, given[-1])
+        _, problem, level, *_, size = given
+        origin = Origin(look.camera, problem, level, self.freed, size)
         return int(n), np.asarray(path), View.from_look(look, origin)
 
 
