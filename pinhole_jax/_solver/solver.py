@@ -159,8 +159,12 @@ class Solver:
         a prior or other views count, whose residuals are weighed against that level's."""
         return min(FAR_LEVEL, self.finest) if self.prior is None else self.finest
 
-    def _problem(self, levels: Levels) -> Problem:
+    @property
+    def problem(self) -> Problem:
         """The problem that the fit's programs solve, beside a camera and a level."""
+        return self._problem(self._levels)
+
+    def _problem(self, levels: Levels) -> Problem:
         known = self.prior or no_prior(self.freed, self.dtype)
         if known.in_sigmas:
             noise = UNSEEN_NOISE if self.store.noise is None else self.store.noise
