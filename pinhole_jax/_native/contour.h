@@ -47,7 +47,7 @@ struct MeshData {
   const int32_t *faces, *edge_vertices, *edge_faces;
   int64_t V, F, E;
 
-  // Without what arrays are filled up with: faces whose vertices are -1, edges between these.
+  // Without what arrays are filled up with: faces whose vertices are -1, edges with such a face.
   MeshData without_padding() const {
     const auto first = [](int64_t size, auto is_added) {
       int64_t low = 0;

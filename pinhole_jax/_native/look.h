@@ -169,8 +169,6 @@ class Look {
     sums.off += std::abs(r) > mask.explained;
   }
 
-  void union_of(double mass) { sums.united += mass - sums.overlap; }
-
   // The untouched pixels' squares are one more row, which moves change in second order alone.
   void reduce(size_t ways, const Numbers& known) {
     const size_t P = touched.cell.size(), more = size_t(known.size) / (ways + 1);
@@ -205,8 +203,7 @@ inline std::vector<double> outline_of(const Look& look, int64_t W, int64_t H) {
     row = std::clamp<int64_t>(row, 0, H - 1), column = std::clamp<int64_t>(column, 0, W - 1);
     const int64_t cell = row * (W + 2) + column + 1;
     const auto first = seen.cell.begin() + begin[row], last = seen.cell.begin() + begin[row + 1];
-    const auto next = last - first > 16 ? std::upper_bound(first, last, cell)
-                                        : std::find_if(first, last, [&](int64_t c) { return c > cell; });
+    const auto next = std::upper_bound(first, last, cell);
     if (next == first) return seen.before;
     const size_t k = size_t(next - seen.cell.begin()) - 1;
     return seen.cell[k] == cell ? seen.coverage[k] : seen.after[k];
