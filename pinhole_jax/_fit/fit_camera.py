@@ -366,7 +366,7 @@ def behind_something(refiner: Refiner, plain: Candidate) -> list[Candidate]:
         if best is not before:
             twins = solver.subject.alike.views(best.found.camera)
             found += refiner.proposals(twins, best)
-        if start is not None and best.is_explained():
+        if start is not None and best.is_surely_explained():
             break
     return found
 
