@@ -1,7 +1,6 @@
 """`fit_camera`: the camera from a mask, by Levenberg-Marquardt on exact coverage."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
@@ -13,7 +12,6 @@ from .._camera.lens import Lens
 from .._camera.rays import project
 from .._files.progress import say, shown
 from .._mask.edges import SparseImage
-from .._mask.kinds import Kind
 from .._mask.mask import Mask
 from .._mask.target import (
     MOST_BORDER,
@@ -32,15 +30,15 @@ from .._numerics.arrays import (
     is_concrete,
     is_number,
 )
-from .._outline.outline_errors import OutlineErrors, is_computed
+from .._outline.outline_errors import is_computed
 from .._outline.statistics import err_alike, is_explained, mask_errors
 from .._rules import RULES
 from .._scene.scene import Scene, check_scene
-from .._solver.looks import Sums, View
+from .._solver.looks import View
 from .._solver.moves import Bounds, canonical
 from .._solver.parameters import check_free, focal_is_free, in_one, labels_of, with_lens
 from .._solver.priors import Pair, Prior, bounds_of, contradictions, prior_of
-from .._solver.solver import Solution, Solver, Stop
+from .._solver.solver import Solver, Stop
 from .._solver.subject import Subject
 from .drift import other_places
 from .edge import Edge
@@ -51,7 +49,6 @@ from .photo import (
     COLOURS,
     OF_ANOTHER,
     Judgement,
-    PhotoResult,
     check_photo,
     contradicts,
     on_photo,
@@ -232,36 +229,6 @@ class Settings(NamedTuple):
     differentiable: bool = False
 
 
-@dataclass(frozen=True, eq=False)
-class _Mode:
-    """A camera that may be right: what was `found`, the sums `over_all` pixels, how the mask's
-    outline errs, and whether pixels of an exact mask err alike. If the mask is not exact, the
-    account of its edge; if that is not surely computed, the camera's covariance (n, n) by moves,
-    else the move that shows least, and its `shelf`."""
-
-    found: Solution
-    over_all: Sums
-    errors: OutlineErrors | None
-    err_alike: bool = False
-    account: Account | None = None
-    covariance: np.ndarray | None = None
-    shelf: tuple[np.ndarray, float] | None = None
-
-    @classmethod
-    def from_solution(cls, solver: Solver, found: Solution) -> "_Mode":
-        """The mode that squares alone lead to."""
-        errors = mask_errors(solver, found.view)
-        alike = err_alike(solver, found.view)
-        return cls(found, found.view.sums, errors, alike, shelf=shelf(solver, found))
-
-    @classmethod
-    def from_candidate(cls, c: Candidate) -> "_Mode":
-        """The mode that the likelihood keeps."""
-        flat = shelf(c.near, c.found) if c.covariance is None else None
-        alike = err_alike(c.near, c.found.view)
-        return cls(c.found, c.whole.sums, c.errors, alike, c.account, c.covariance, flat)
-
-
 def _fit(
     scene: Scene, mask: Mask, start: Camera | None, freed: tuple[str, ...], settings: Settings
 ) -> tuple[Fit, Callable[[], np.ndarray]]:
@@ -284,7 +251,7 @@ def _fit(
     say("last level: looking for other views that fit")
     if reach is None or _leaves_nothing(solver, places.best.view, mask):
         ended = to_the_end(solver, [places.best, *places.others])
-        modes = [_Mode.from_solution(solver, f) for f in ended]
+        modes = [Candidate.by_squares(solver, f) for f in ended]
         free, near, edge = free_about(solver, ended[0], places), solver, None
     else:
         # 2. Refine each on the part of the mask's edge that it believes.
@@ -307,7 +274,7 @@ def _fit(
             kept = refiner.likeliest(found)
 
         # 4. Keep the modes.
-        best, near, edge = kept[0], kept[0].near, refiner.edge
+        best, near, edge, modes = kept[0], kept[0].near, refiner.edge, kept
         if best.account is not None and np.any(best.account.gross) and turns_freely(freed):
             free = settled(near, best.found).free  # of the part that is believed
         else:
@@ -315,7 +282,6 @@ def _fit(
         if best.covariance is not None:  # (Places along others are candidates, too.)
             about = [transported(near, best.found, f) for f in free]
             free = [f for f in about if refiner.is_free(best, f, found)]
-        modes = [_Mode.from_candidate(c) for c in kept]
 
     # 5. Status, covariance, words.
     fit = _fit_of(solver, mask, modes, free, edge, start is None, settings)
@@ -387,35 +353,35 @@ def _solver(scene: Scene, mask: Mask, freed: tuple[str, ...], settings: Settings
 def _fit_of(
     solver: Solver,
     mask: Mask,
-    modes: list[_Mode],
+    modes: list[Candidate],
     free: list[Free],
     edge: Edge | None,
     from_anywhere: bool,
     settings: Settings,
 ) -> Fit:
     """The modes as a user reads them, from anywhere or from a start."""
-    freed, photo = solver.freed, settings.photo
+    photo = settings.photo
 
-    def reported(mode: _Mode, kind: Kind, free: list[Free]) -> Fit:
+    def reported(mode: Candidate, free: list[Free]) -> Fit:
         about = [transported(solver, mode.found, x) for x in free]
-        said = mode.account
+        said, kind = mode.account, mode.near.kind
         astray = None if said is None or edge is None else said.astray(edge)
         hidden = said is not None and bool(np.any(said.gross))
-        known = mode.covariance, None if free else mode.shelf, _contradictions(solver, mode)
+        is_open = mode.covariance is None and not free and kind is not COLOURS
+        flat = shelf(mode.near, mode.found) if is_open else None
+        known = mode.covariance, flat, _contradictions(mode)
         context = Context(kind, settings.bounds, about, mode.errors, astray, hidden, *known)
-        return report(mask.camera, mode.found, mode.over_all, freed, context)
+        return report(mask.camera, mode.found, mode.whole.sums, solver.freed, context)
 
     best, seen = modes[0], None
     if photo is None:
-        fit, *others = (reported(mode, solver.kind, free) for mode in modes)
+        fit, *others = (reported(mode, free) for mode in modes)
     else:
         shown = _shown(solver, mask, photo, modes)
         best, seen, said = shown[0]
         open_still = [f for f in free if np.isinf(f.ahead)]
         fit, *others = (
-            reported(mode, solver.kind, free)
-            if seen is None
-            else reported(_Mode(*seen), COLOURS, open_still)
+            reported(mode, free) if seen is None else reported(seen, open_still)
             for mode, seen, _ in shown
         )
         if seen is not None and _errs_nowhere(solver, best):
@@ -434,8 +400,8 @@ def _fit_of(
 
 
 def _shown(
-    solver: Solver, mask: Mask, photo: np.ndarray, modes: list[_Mode]
-) -> list[tuple[_Mode, PhotoResult | None, Judgement]]:
+    solver: Solver, mask: Mask, photo: np.ndarray, modes: list[Candidate]
+) -> list[tuple[Candidate, Candidate | None, Judgement]]:
     """The modes with what a photo gives, and says, there. Where it is better founded than the mask
     at the likeliest, those alone that it does not contradict."""
     first = on_photo(solver, mask, photo, modes[0].found)
@@ -447,14 +413,14 @@ def _shown(
     return [x for x in shown if not contradicts(x[-1].off, least)]
 
 
-def _errs_nowhere(solver: Solver, mode: _Mode) -> bool:
+def _errs_nowhere(solver: Solver, mode: Candidate) -> bool:
     """True if a program made the mask, as this camera sees it."""
     if solver.kind.exact:
         return is_explained(solver, mode.found.view)
     return mode.errors is not None and is_computed(mode.errors)
 
 
-def _doubts(best: _Mode, said: Account, alone: bool) -> list[str]:
+def _doubts(best: Candidate, said: Account, alone: bool) -> list[str]:
     """Sentences on why a camera that fits is not sure: a part of the edge is all that speaks for
     it, `alone`, or the likelihood's steps did not come to rest."""
     doubts = []
@@ -467,9 +433,10 @@ def _doubts(best: _Mode, said: Account, alone: bool) -> list[str]:
     return doubts
 
 
-def _contradictions(solver: Solver, mode: _Mode) -> tuple[str, ...]:
+def _contradictions(mode: Candidate) -> tuple[str, ...]:
     """Sentences on priors that the mask contradicts, and on what is not free."""
-    alike = (ALIKE,) if mode.err_alike else ()
+    solver, view = mode.near, mode.found.view
+    alike = (ALIKE,) if err_alike(solver, view) else ()
     if not solver.weighs_prior:
         return alike
     off, rows = solver.known(mode.found.camera)
@@ -477,7 +444,6 @@ def _contradictions(solver: Solver, mode: _Mode) -> tuple[str, ...]:
         known = mode.account.errors.covariance
         off = off + rows @ mode.account.errors.move
     else:  # (as residuals, a prior counts as the mask does)
-        view = mode.found.view
         rows, triangle = np.asarray(view.known, float), np.asarray(view.triangle, float)
         known = np.linalg.pinv(triangle.T @ triangle)
     share = np.einsum("ki,ij,kj->k", rows, known, rows)

@@ -18,12 +18,11 @@ from .._mask.mask import Mask
 from .._mask.matte import Band, Matte, light, matte, tiles
 from .._mask.target import NOISE, Window, edge_distance
 from .._numerics.arrays import array_of
-from .._outline.outline_errors import OutlineErrors
-from .._outline.statistics import mask_errors
 from .._outline.stretches import coverage_of
-from .._solver.looks import Sums, View
+from .._solver.looks import View
 from .._solver.problem import FINE_PX
 from .._solver.solver import Solution, Solver, onward
+from .refine import Candidate
 
 #: Where colours are learned and asked for, round by round: masks are off by some px at first. (A
 #: fourth round changes nothing; the last one's tiles hold what is seen within 10 px.)
@@ -76,15 +75,6 @@ Images: TypeAlias = Mapping[int, tuple[np.ndarray, np.ndarray]]
 V = TypeVar("V")
 
 
-class PhotoResult(NamedTuple):
-    """A camera that a photo gives and what is seen there; sums over the mask, and how the outline
-    that colours make errs."""
-
-    found: Solution
-    sums: Sums
-    errors: OutlineErrors | None
-
-
 class Judgement(NamedTuple):
     """How far a photo's edge is `off` the outline at best (rms, px), whether the photo is better
     founded than the mask, and `words` on it."""
@@ -123,7 +113,7 @@ def check_photo(photo: Any, W: int, H: int) -> np.ndarray:
 
 def on_photo(
     solver: Solver, mask: Mask, photo: np.ndarray, found: Solution
-) -> tuple[PhotoResult | None, Judgement]:
+) -> tuple[Candidate | None, Judgement]:
     """The camera that was found for a mask, refined on a photo; None where the mask's stays. What
     is to be said of the photo."""
     begin, px = solver.look(found.camera, solver.finest), FINE_PX[solver.dtype]
@@ -145,9 +135,9 @@ def on_photo(
     )
     if not trusted:
         return None, notes[0]
-    sums = solver.look(refined.camera, solver.finest).sums
-    sums = sums._replace(touched=refined.view.sums.touched)
-    return PhotoResult(refined, sums, mask_errors(own, refined.view)), notes[0]
+    whole = solver.look(refined.camera, solver.finest)
+    sums = whole.sums._replace(touched=refined.view.sums.touched)
+    return Candidate.by_squares(own, refined, replace(whole, sums=sums)), notes[0]
 
 
 def refine_on_photos(

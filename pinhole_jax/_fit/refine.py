@@ -43,6 +43,11 @@ class Candidate:
     errors: OutlineErrors | None
     covariance: np.ndarray | None = None
 
+    @classmethod
+    def by_squares(cls, solver: Solver, found: Solution, whole: View | None = None) -> "Candidate":
+        """The candidate that squares alone lead to, whose mask `whole` shows."""
+        return cls(found, whole or found.view, None, solver, mask_errors(solver, found.view))
+
     @property
     def log(self) -> float:
         """The logarithm of the likelihood."""
