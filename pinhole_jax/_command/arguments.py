@@ -102,18 +102,21 @@ class Verb(NamedTuple):
 
 
 TRUST = "Exit status: 0 converged, 1 do not trust it (the status says why), 2 bad input."
+FITTED = f"{STATUS}\n\n{MASKS}\n{FILES}"
 VERBS = {
     "fit": Verb(
         "recover the camera from a mesh and a mask",
-        "Recover the camera that sees MESH as MASK: from a start up to 20 degrees off, or\n"
-        "without one by a search of all views (give the field of view, or --free phi, too).\n"
-        "Writes camera.json and overlay.png, prints parameters with their standard errors.\n"
-        f"Photos taken sideways are turned upright by their EXIF data.\n{TRUST}",
-        "mesh mask --camera|--K|--fov --dist --pixel-centres --crop --resize --free --mask-from"
-        " --invert --tidy|--no-tidy --weight --image --refine --report --verbose -o/--output"
-        " --no-cache",
+        f"""\
+Recover the camera that sees MESH as MASK: from a start up to 20 degrees off, or
+without one by a search of all views (give the field of view, or --free phi, too).
+Writes camera.json and overlay.png, prints parameters with their standard errors.
+Photos taken sideways are turned upright by their EXIF data.
+{TRUST}""",
+        """mesh mask --camera|--K|--fov --dist --pixel-centres --crop --resize --free --mask-from
+        --invert --tidy|--no-tidy --weight --image --refine --report --verbose -o/--output
+        --no-cache""",
         "part.stl mask.png --fov 34 --free pose phi --report page.html",
-        f"{STATUS}\n\n{MASKS}\n{FILES}",
+        FITTED,
     ),
     "render": Verb(
         "render the mask that a camera sees",
@@ -123,48 +126,51 @@ VERBS = {
     ),
     "hand-eye": Verb(
         "recover the camera that sees a robot, from a URDF, joint angles and masks",
-        "Recover the one camera that sees ROBOT as the MASKs, one for each row of JOINTS: in the\n"
-        "frame of its base, or with --in-hand in that of a link.\n"
-        "Writes camera.json and overlay_K.png, prints the camera with its standard errors, and\n"
-        f"the masks that disagree.\n{TRUST}",
-        "robot joints masks !--camera|--K --dist --pixel-centres --in-hand --leave-out --free"
-        " --mask-from --tidy|--no-tidy --images --refine --joint-zeros --holdout --propose --report"
-        " --verbose -o/--output --no-cache",
+        f"""\
+Recover the one camera that sees ROBOT as the MASKs, one for each row of JOINTS: in the
+frame of its base, or with --in-hand in that of a link.
+Writes camera.json and overlay_K.png, prints the camera with its standard errors, and
+the masks that disagree.
+{TRUST}""",
+        """robot joints masks !--camera|--K --dist --pixel-centres --in-hand --leave-out --free
+        --mask-from --tidy|--no-tidy --images --refine --joint-zeros --holdout --propose --report
+        --verbose -o/--output --no-cache""",
         "arm.urdf joints.csv mask_*.png --K calibration.yaml --report page.html",
-        f"{STATUS}\n\n{MASKS}\n{FILES}",
+        FITTED,
     ),
     "check": Verb(
         "check with a new mask whether a camera has moved, or whether error bars hold",
-        "Compare CAMERA with the camera that sees MESH as MASK: has it moved, by how many\n"
-        "standard errors, and which way? For a robot: check CAMERA ROBOT.urdf JOINTS MASK...\n"
-        "With --split: do two halves of the outline, or of a robot's views, agree?\n"
-        "Exit status: 0 it has not moved (halves agree), 1 it has (they do not), 3 the masks\n"
-        "cannot tell, 2 bad input.",
-        "camera mesh files --split --in-hand --leave-out --free --mask-from --tidy|--no-tidy"
-        " --verbose -o/--output --no-cache",
+        """\
+Compare CAMERA with the camera that sees MESH as MASK: has it moved, by how many
+standard errors, and which way? For a robot: check CAMERA ROBOT.urdf JOINTS MASK...
+With --split: do two halves of the outline, or of a robot's views, agree?
+Exit status: 0 it has not moved (halves agree), 1 it has (they do not), 3 the masks
+cannot tell, 2 bad input.""",
+        """camera mesh files --split --in-hand --leave-out --free --mask-from --tidy|--no-tidy
+        --verbose -o/--output --no-cache""",
         "out/camera.json part.stl mask.png",
-        f"{STATUS}\n\n{MASKS}\n{FILES}",
+        FITTED,
     ),
     "batch": Verb(
         "recover the cameras of a whole data set",
-        "Recover the camera of each record of DATASET; append a row for each to the parts in\n"
-        "RESULTS. If it is stopped, continue with --resume.\n"
-        "Exit status: 0 each record has a row, 1 some have no fit (their rows say why), 2 bad"
-        " input.",
-        "dataset -o/--output --workers --shard --resume --retry --time-limit --merge"
-        " --write --start --models --detections --camera|--K|--fov --dist --pixel-centres --crop"
-        " --resize --free --mask-from --invert --tidy|--no-tidy --weight --track --verbose"
-        " --no-cache",
+        """\
+Recover the camera of each record of DATASET; append a row for each to the parts in
+RESULTS. If it is stopped, continue with --resume.
+Exit status: 0 each record has a row, 1 some have no fit (their rows say why), 2 bad input.""",
+        """dataset -o/--output --workers --shard --resume --retry --time-limit --merge --write
+        --start --models --detections --camera|--K|--fov --dist --pixel-centres --crop --resize
+        --free --mask-from --invert --tidy|--no-tidy --weight --track --verbose --no-cache""",
         "set.csv -o results --workers 4 --merge table.csv",
         f"{DATASETS}\n{MASKS}",
     ),
     "studio": Verb(
         "find the camera of a photo by hand, in the browser",
-        "Open a page in the browser: turn the mesh over the photo, paint a mask, fit, and export\n"
-        "the camera in every format. Only this machine can open it, at the printed\n"
-        "address. Needs aiohttp: pip install 'pinhole-jax[studio]'.",
-        "mesh photo --session --camera|--K|--fov --dist --pixel-centres --up --mask --mask-from"
-        " --port --no-browser --verbose -o/--output --no-cache",
+        """\
+Open a page in the browser: turn the mesh over the photo, paint a mask, fit, and export
+the camera in every format. Only this machine can open it, at the printed
+address. Needs aiohttp: pip install 'pinhole-jax[studio]'.""",
+        """mesh photo --session --camera|--K|--fov --dist --pixel-centres --up --mask --mask-from
+        --port --no-browser --verbose -o/--output --no-cache""",
         "part.stl photo.jpg --fov 34",
         f"{MASKS}\n{FILES}",
     ),
@@ -175,113 +181,115 @@ VERBS = {
         "camera.json transforms.json",
     ),
 }
-#: Each option as the usage shows it, and its help: its name (after a command, for that one alone),
-#: metavar (none: a switch), `?`, `*`, `+` for how many or `!` where it is required, type, default.
+#: The options by the headings of the help (those without one first): each as the usage shows it,
+#: and its help. A command before an option's name: for that one alone. After it are metavar (none:
+#: a switch), `?`, `*`, `+` for how many or `!` where it is required, type, default.
 OPTIONS = {
-    "mesh MESH": "triangles: obj, ply, stl, glb, gltf or off",
-    "check mesh MESH": "as in `fit`; or a URDF file",
-    "studio mesh MESH?": "triangles: obj, ply, stl, glb, gltf or off",
-    "mask MASK": "image of the camera's size, white on black",
-    "camera CAMERA": "a camera file, as `fit --camera` reads",
-    "check camera CAMERA": (
-        "any file that `convert` reads; if `fit` wrote it, its errors count, too"
-    ),
-    "robot ROBOT": "a URDF file, its meshes beside it",
-    "joints JOINTS": (
-        "angles (rad): a CSV file whose first line has the joints' names, or JSON with"
-        " `names` and `postures`, perhaps with `unit`: deg"
-    ),
-    "masks MASK+": "an image for each row of JOINTS",
-    "files MASK*": "as in `fit`; for a robot JOINTS, then a MASK for each row",
-    "dataset DATASET?": "see below",
-    "photo PHOTO?": "a photo of the object",
-    "input IN": "a camera file; of COLMAP, the model's folder",
-    "output OUT": "the file to write",
-    "--camera START": (
-        "start here instead of searching: a camera file (see below), or any that"
-        " `convert` reads; FILE:NAME selects one of several"
-    ),
-    "--K K": (
-        "known intrinsics for the search: FX FY CX CY in px (OpenCV's), or a file with"
-        " them: OpenCV's or ROS's calibration, COLMAP's cameras.txt, JSON with K"
-    ),
-    "--fov DEGREES: float": (
-        "vertical field of view for the search (default: from PHOTO's EXIF data)"
-    ),
-    "batch --fov DEGREES: float": "unless DATASET says otherwise",
-    "studio --fov DEGREES: float": (
-        "vertical field of view (default: from PHOTO's EXIF data, else 40)"
-    ),
-    "--dist K1,K2,...": "with --K: OpenCV's k1 k2 p1 p2, k3, k4 k5 k6",
-    "--pixel-centres {integer,half} = integer": (
-        "where CX, CY of --K (and of the K that is printed) count from: the first pixel's"
-        " centre is 0 (OpenCV) or 0.5 (COLMAP); default: %(default)s"
-    ),
-    "--crop LEFT TOP W H: float": (
-        "MASK shows this window (px from the top left) of the picture of --K or --camera"
-    ),
-    "--resize W H: int": (
-        "the size of MASK, px, before it was resized (with --crop: after cropping)"
-    ),
-    "--free NAMES: free = pose": (
-        f"what to fit, of {', '.join(FREE)}: pose is position and orientation, phi (or"
-        " focal) and d both set the focal length, distortion is all coefficients of the"
-        " lens; the rest keeps its starting value (default: %(default)s)"
-    ),
-    "--mask-from HOW": "how to read masks, see below (default: from the picture itself)",
-    "batch --mask-from HOW": "as in `fit`",
-    "--invert": "MASK covers the background",
-    "--tidy": "drop crumbs and fill holes of MASK up to 1/200 of the object (else 1/1000)",
-    "--no-tidy": "take MASK as it is, with its crumbs and pinholes",
-    "--track": "fit in order, each from the last camera (frames of a video)",
-    "--weight IMAGE": "grey image: how much each pixel counts",
-    "--image PHOTO": "draw the outline on this (default: MASK)",
-    "--images PHOTO+": "draw the outlines on these (default: MASKs)",
-    "--refine": "fit to the edges in the photos, too, where they are clear",
-    "--report PAGE.html": "write a page with pictures, errors, all formats",
-    "hand-eye --report PAGE.html": "write a page with all results",
-    "--in-hand LINK": "the link that carries the camera",
-    "--leave-out LINKS: names = ": "links that the masks do not show, with commas",
-    "--joint-zeros SIGMA: float": (
-        "find the zeros of the turning joints, too, which are known to this many degrees"
-    ),
-    "--split": ("fit two halves of MASK's outline (odd and even MASKs of a robot); compare them"),
-    "--holdout": "fit each half of the postures, too, and compare them",
-    "--propose JOINTS": (
-        "predict how much a mask in each of these postures would help (a file like JOINTS)"
-    ),
-    "--workers K: int": "processes (default: one a core)",
-    "--shard I/N = 1/1": "fit the I-th of N parts of DATASET alone",
-    "--resume": "fit the records that have no row in RESULTS yet",
-    "--retry STATUSES: names = ": "fit these anew, too: failed,timed_out,crashed",
-    "--time-limit SECONDS: float = 600": (
-        "most time for one record, 0: no limit (default: %(default)s)"
-    ),
-    "--merge TABLE": "write all rows: .jsonl or .csv",
-    "--write ID CAMERA": "write a row's camera as any file that `convert` writes",
-    "--start": "start from BOP's poses, else search",
-    "--models FOLDER": "BOP's models (default: beside it)",
-    "--detections COCO.json": "masks instead of BOP's own",
-    "--session FILE": "continue a saved session",
-    "--up {x,y,z} = y": "MESH's upward axis (default: y)",
-    "--mask MASK": "begin with this mask",
-    "--port N: int = 0": "(default: any that is free)",
-    "--no-browser": "print the address, open nothing",
-    "--from FORMAT": "(default: from IN)",
-    "--to FORMAT": "(default: from OUT)",
-    "--size W H: int": "image size in px, if IN has none (glTF, some NeRF files)",
-    "--verbose": "report each step on stderr",
-    "-o/--output FOLDER = out": "(default: %(default)s)",
-    "render -o/--output IMAGE = mask.png": "(default: %(default)s)",
-    "check -o/--output CAMERA.json": "write where it is now",
-    "batch -o/--output RESULTS!": "a folder",
-    "--no-cache": "do not keep compiled programs in the user's cache folder",
+    "": """
+mesh MESH                       triangles: obj, ply, stl, glb, gltf or off
+check mesh MESH                 as in `fit`; or a URDF file
+studio mesh MESH?               triangles: obj, ply, stl, glb, gltf or off
+mask MASK                       image of the camera's size, white on black
+camera CAMERA                   a camera file, as `fit --camera` reads
+check camera CAMERA             any file that `convert` reads; if `fit` wrote it, its errors
+                                count, too
+robot ROBOT                     a URDF file, its meshes beside it
+joints JOINTS                   angles (rad): a CSV file whose first line has the joints' names,
+                                or JSON with `names` and `postures`, perhaps with `unit`: deg
+masks MASK+                     an image for each row of JOINTS
+files MASK*                     as in `fit`; for a robot JOINTS, then a MASK for each row
+dataset DATASET?                see below
+photo PHOTO?                    a photo of the object
+input IN                        a camera file; of COLMAP, the model's folder
+output OUT                      the file to write
+--session FILE                  continue a saved session
+--from FORMAT                   (default: from IN)
+--to FORMAT                     (default: from OUT)
+--size W H: int                 image size in px, if IN has none (glTF, some NeRF files)
+""",
+    "camera": """
+--camera START                  start here instead of searching: a camera file (see below), or
+                                any that `convert` reads; FILE:NAME selects one of several
+--K K                           known intrinsics for the search: FX FY CX CY in px (OpenCV's),
+                                or a file with them: OpenCV's or ROS's calibration, COLMAP's
+                                cameras.txt, JSON with K
+--fov DEGREES: float            vertical field of view for the search (default: from PHOTO's
+                                EXIF data)
+batch --fov DEGREES: float      unless DATASET says otherwise
+studio --fov DEGREES: float     vertical field of view (default: from PHOTO's EXIF data, else
+                                40)
+--dist K1,K2,...                with --K: OpenCV's k1 k2 p1 p2, k3, k4 k5 k6
+--pixel-centres {integer,half} = integer  where CX, CY of --K (and of the K that is printed)
+                                count from: the first pixel's centre is 0 (OpenCV) or 0.5
+                                (COLMAP); default: %(default)s
+--crop LEFT TOP W H: float      MASK shows this window (px from the top left) of the picture of
+                                --K or --camera
+--resize W H: int               the size of MASK, px, before it was resized (with --crop: after
+                                cropping)
+--in-hand LINK                  the link that carries the camera
+--start                         start from BOP's poses, else search
+--up {x,y,z} = y                MESH's upward axis (default: y)
+""",
+    "masks": """
+--mask-from HOW                 how to read masks, see below (default: from the picture itself)
+batch --mask-from HOW           as in `fit`
+--invert                        MASK covers the background
+--tidy                          drop crumbs and fill holes of MASK up to 1/200 of the object
+                                (else 1/1000)
+--no-tidy                       take MASK as it is, with its crumbs and pinholes
+--weight IMAGE                  grey image: how much each pixel counts
+--models FOLDER                 BOP's models (default: beside it)
+--detections COCO.json          masks instead of BOP's own
+--mask MASK                     begin with this mask
+""",
+    "fit": f"""
+--free NAMES: free = pose       what to fit, of {", ".join(FREE)}: pose
+                                is position and orientation, phi (or focal) and d both set the
+                                focal length, distortion is all coefficients of the lens; the
+                                rest keeps its starting value (default: %(default)s)
+--track                         fit in order, each from the last camera (frames of a video)
+--refine                        fit to the edges in the photos, too, where they are clear
+--leave-out LINKS: names =      links that the masks do not show, with commas
+--joint-zeros SIGMA: float      find the zeros of the turning joints, too, which are known to
+                                this many degrees
+--split                         fit two halves of MASK's outline (odd and even MASKs of a
+                                robot); compare them
+--holdout                       fit each half of the postures, too, and compare them
+--propose JOINTS                predict how much a mask in each of these postures would help (a
+                                file like JOINTS)
+""",
+    "rows": """
+--workers K: int                processes (default: one a core)
+--shard I/N = 1/1               fit the I-th of N parts of DATASET alone
+--resume                        fit the records that have no row in RESULTS yet
+--retry STATUSES: names =       fit these anew, too: failed,timed_out,crashed
+--time-limit SECONDS: float = 600  most time for one record, 0: no limit (default: %(default)s)
+--merge TABLE                   write all rows: .jsonl or .csv
+--write ID CAMERA               write a row's camera as any file that `convert` writes
+""",
+    "output": """
+--image PHOTO                   draw the outline on this (default: MASK)
+--images PHOTO+                 draw the outlines on these (default: MASKs)
+--report PAGE.html              write a page with pictures, errors, all formats
+hand-eye --report PAGE.html     write a page with all results
+--port N: int = 0               (default: any that is free)
+--no-browser                    print the address, open nothing
+--verbose                       report each step on stderr
+-o/--output FOLDER = out        (default: %(default)s)
+render -o/--output IMAGE = mask.png  (default: %(default)s)
+check -o/--output CAMERA.json   write where it is now
+batch -o/--output RESULTS!      a folder
+--no-cache                      do not keep compiled programs in the user's cache folder
+""",
 }
-FORM = re.compile(r"((?:[a-z-]+ )?(?:[a-z]+|-\S+)) ?(.*?)([?*+!]?)(?:: (\w+))?(?: = (.*))?")
+FORM = re.compile(
+    r"^((?:[a-z-]+ )?(?:[a-z]+|-\S+)) ?(.*?)([?*+!]?)(?:: (\w+))?(?: = ?(\S*))?  +(.*(?:\n +.*)*)",
+    re.MULTILINE,
+)
 FORMS = {
-    found[1]: (*found.groups()[1:], words)
-    for form, words in OPTIONS.items()
-    if (found := FORM.fullmatch(form))
+    form[1]: (title, *form.groups()[1:])
+    for title, table in OPTIONS.items()
+    for form in FORM.finditer(table)
 }
 #: (The focal length is phi's other name.)
 TYPES = {
@@ -291,15 +299,6 @@ TYPES = {
     "names": _names_in,
     "free": lambda text: re.sub(r"\bfocal\b", "phi", ",".join(_names_in(text))),
 }
-#: The headings of the help, and the options below each; the others have none.
-GROUPS = {
-    "camera": "--camera --K --fov --dist --pixel-centres --crop --resize --up --in-hand --start",
-    "masks": "--mask --mask-from --invert --tidy --no-tidy --weight --models --detections",
-    "fit": "--free --refine --joint-zeros --leave-out --holdout --split --propose --track",
-    "rows": "--workers --shard --resume --retry --time-limit --merge --write",
-    "output": "-o/--output --report --image --images --verbose --no-cache --port --no-browser",
-}
-HEADINGS = {option: title for title, options in GROUPS.items() for option in options.split()}
 #: Other names that the library has for what an option gives.
 ALIASES = {
     "mask": "target",
@@ -350,7 +349,7 @@ def _add(commands: Any, name: str, verb: Verb) -> None:
     group_of, actions = cache(own.add_argument_group), []
     for part in verb.options.split():
         options = part.lstrip("!").split("|")
-        title = HEADINGS.get(options[0])
+        title, *_ = FORMS[options[0]]
         group: Any = group_of(title) if title else own
         if len(options) > 1:
             group = group.add_mutually_exclusive_group(required=part[0] == "!")
@@ -381,7 +380,7 @@ def _names(actions: Sequence[argparse.Action]) -> dict[str, str]:
 
 def _keywords(verb: str, option: str) -> dict[str, Any]:
     """Return the arguments of `add_argument` for a command's option."""
-    metavar, mark, kind, default, words = FORMS.get(f"{verb} {option}", FORMS[option])
+    _, metavar, mark, kind, default, words = FORMS.get(f"{verb} {option}", FORMS[option])
     if not metavar:
         return {"help": words, "action": "store_true"}
     keywords = {"help": words, "type": TYPES[kind], "default": default}
