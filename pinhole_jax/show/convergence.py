@@ -9,8 +9,9 @@ from .outline import check_fit
 from .page import Svg
 from .space import places_of
 
-#: The diagram's field on its page: left, top, width, height.
-FIELD = 64, 24, 640, 260
+#: The diagram's field, whose upper left corner is the origin; and all of it with its labels.
+WIDTH, HEIGHT = 640, 260
+BOX = f"-64 -24 {WIDTH + 80} {HEIGHT + 70}"
 STYLE = (
     "text{font:12px sans-serif;fill:#456}.m{text-anchor:middle}.e{text-anchor:end}"
     "line{stroke:#fff}polyline{fill:none;stroke:#0a6b8a;stroke-width:2}circle{fill:#0a6b8a}"
@@ -70,36 +71,31 @@ def convergence(fit: Fit, scene: Scene) -> Svg:
     steps = np.cumsum([stop.steps for stop in fit.history])
     shown = np.maximum(off, max(off[off > 1e-12].min(initial=1.0), 1e-9) / 10)
     low, high = np.floor(np.log10(shown.min())), np.ceil(np.log10(shown.max()) + 1e-9)
-    left, top, width, height = FIELD
-    across = lambda step: left + width * step / max(steps[-1], 1)
-    down = lambda power: top + height * (high - power) / (high - low)
-    parts = [
-        _text(left + width / 2, top + height + 38, "steps"),
-        _text(left - 8, top - 8, "px", "e"),
-    ]
+    across = lambda step: WIDTH * step / max(steps[-1], 1)
+    down = lambda power: HEIGHT * (high - power) / (high - low)
+    parts = [_text(WIDTH / 2, HEIGHT + 38, "steps"), _text(-8, -8, "px", "e")]
     x, y = across(steps), down(np.log10(shown))
     for k, (level, first, last) in enumerate(levels(fit)):
         a, b = x[first], x[last]
         parts.append(
-            f'<rect x="{a:.1f}" y="{top}" width="{b - a:.1f}" height="{height}"'
+            f'<rect x="{a:.1f}" y="0" width="{b - a:.1f}" height="{HEIGHT}"'
             f' fill="{("#eef2f6", "#dfe7ef")[k % 2]}"><title>{level}</title></rect>'
         )
         if b - a > 44:
-            parts.append(_text((a + b) / 2, top - 8, f"{level.W} x {level.H}"))
+            parts.append(_text((a + b) / 2, -8, f"{level.W} x {level.H}"))
     for power in range(int(low), int(high) + 1, max(int(high - low) // 7, 1)):
         at = down(power)
-        parts.append(f'<line x1="{left}" x2="{left + width}" y1="{at:.1f}" y2="{at:.1f}"/>')
-        parts.append(_text(left - 8, at + 4, f"{10.0**power:g}", "e"))
+        parts.append(f'<line x1="0" x2="{WIDTH}" y1="{at:.1f}" y2="{at:.1f}"/>')
+        parts.append(_text(-8, at + 4, f"{10.0**power:g}", "e"))
     for step in np.unique(np.linspace(0, steps[-1], 8).round().astype(int)):
-        parts.append(_text(across(step), top + height + 18, step))
+        parts.append(_text(across(step), HEIGHT + 18, step))
     line = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))
     parts.append(f'<polyline points="{line}"/>')
     parts += [
         f'<circle cx="{a:.1f}" cy="{b:.1f}" r="3"><title>{o:.3g} px</title></circle>'
         for a, b, o in zip(x, y, off, strict=True)
     ]
-    box = f"0 0 {left + width + 16} {top + height + 46}"
     return Svg(
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{box}" role="img"'
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{BOX}" role="img"'
         f' aria-label="convergence"><style>{STYLE}</style>{"".join(parts)}</svg>'
     )

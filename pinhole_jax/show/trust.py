@@ -71,10 +71,9 @@ def trust(fit: Fit, scene: Scene) -> Trust:
     camera, points = fit.camera, points_of(scene)
     before = lambda c: (points - np.asarray(c.e, float)) @ axes_of(c).T
     depth = float(np.mean(before(camera)[:, 2]))
-    side = camera.W / FIELDS
-    columns, rows = FIELDS, max(round(camera.H / side), 1)
-    row, column = np.indices((rows, columns)).reshape(2, -1)
-    places = np.stack([column + 0.5, row + 0.5], axis=1) * [camera.W / columns, camera.H / rows]
+    shape = max(round(FIELDS * camera.H / camera.W), 1), FIELDS
+    middles = np.argwhere(np.ones(shape)) + 0.5  # row, column
+    places = (middles / shape)[:, ::-1] * [camera.W, camera.H]
     on_plane = points_at(camera, places, depth)
     shown = lambda c: places_of(c, on_plane)
     # One sigma of each value (n, k), in the direction where it is largest.
@@ -84,7 +83,7 @@ def trust(fit: Fit, scene: Scene) -> Trust:
     )
     farthest = int(np.argmax(spread))
     across = outline_sigma(fit, scene)
-    picture = _picture(camera, film.reshape(rows, columns), outline(camera, scene))
+    picture = _picture(camera, film.reshape(shape), outline(camera, scene))
     return Trust(places, film, across, float(spread[farthest]), points[farthest], picture)
 
 
@@ -92,9 +91,8 @@ def _picture(camera: Camera, sigma: np.ndarray, lines: np.ndarray) -> Svg:
     """The film in bands, the outline upon it, and a legend."""
     rows, columns = sigma.shape
     ends = np.outer(10.0 ** np.arange(-9, 12), STEPS).ravel()  # of the bands, px
-    least = max(float(sigma.min()), float(sigma.max()) * 1e-3, 1e-9)
-    first, last = np.searchsorted(ends, least, "right"), np.searchsorted(ends, sigma.max())
-    ends = ends[max(first, last + 1 - len(COLOURS)) : max(first, last) + 1]
+    first, last = np.searchsorted(ends, [sigma.min(), sigma.max()])
+    ends = ends[max(first, last + 1 - len(COLOURS)) : last + 1]
     scale = WIDTH / camera.W
     side, height = WIDTH / columns, camera.H * scale
     high = height / rows
