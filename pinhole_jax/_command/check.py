@@ -26,11 +26,8 @@ from .outputs import check_outputs, say_written
 
 #: The exit status when the masks cannot tell.
 UNTOLD = 3
-
-
-#: What masks show: the data; how to fit a camera to all or a half of them, from a camera; and how
-#: to halve them, once a fit to all is there.
-CheckData = tuple[Any, Callable[[Any, Camera], Fit | JointFit], Callable[[Any], tuple[Any, Any]]]
+#: What masks show, how to fit a camera to all or a half of it, and how to halve it after a fit.
+CheckData = tuple[Any, Callable[..., Fit | JointFit], Callable[..., tuple[Any, Any]]]
 
 
 def run(options: argparse.Namespace, progress: Ticker) -> int:

@@ -103,7 +103,7 @@ class Bench:
         #: The last fit with all its cameras, and the number of the one that was chosen.
         self.fits: tuple[Fit, ...] = ()
         self.chosen = 0
-        self._phi_was_free, self._assumption = False, ""
+        self._assumption = ""
         #: All states of the work that can be gone back to; `_at` is the place of the current one.
         self._works = [session.strokes[:k] for k in range(len(session.strokes) + 1)][-MOST_UNDONE:]
         self._go_to(len(self._works) - 1)
@@ -176,7 +176,8 @@ class Bench:
         is_ = lambda phi: math.isclose(float(camera.phi), float(phi), rel_tol=1e-6)
         if known is not None and is_(known):
             return ""
-        fitted = self._phi_was_free and any(is_(fit.camera.phi) for fit in self.fits)
+        focal_was_free = self.fits and not {"phi", "d"}.isdisjoint(self.fits[0].names)
+        fitted = focal_was_free and any(is_(fit.camera.phi) for fit in self.fits)
         return "from an earlier fit" if fitted else "assumed"
 
     def move(self, turn: Any = (0, 0, 0), shift: Any = (0, 0), nearer: Any = 1) -> Answer:
@@ -260,8 +261,7 @@ class Bench:
         self._stopping.clear()
         camera, free = self.session.camera, free_of(free)
         self.session = self.session._replace(free=free)
-        focal_is_free = not {"phi", "d"}.isdisjoint(free)
-        assumption = "" if focal_is_free else self._phi_from()
+        assumption = self._phi_from() if {"phi", "d"}.isdisjoint(free) else ""
 
         def on_step(progress: Progress) -> None:
             if self._stopping.is_set():
@@ -283,7 +283,7 @@ class Bench:
             raise ValueError("stopped: the camera has not changed") from None
         each = (mode._replace(status=fit.status, modes=fit.modes) for mode in (fit, *fit.modes))
         self.fits = tuple(with_assumed_phi(mode, assumption) for mode in each)
-        self._phi_was_free, self._assumption = focal_is_free, assumption
+        self._assumption = assumption
         return self.mode(0)
 
     def _stop_description(self, stop: Progress) -> Answer:
@@ -320,14 +320,15 @@ class Bench:
         name = plain(name)
         if format not in ("all", *FORMATS):
             raise ValueError(f"`format`: expected one of all, {', '.join(FORMATS)}, got {format!r}")
-        chosen = FORMATS if format == "all" else [format]
-        paths = {self.folder / (name + ENDINGS[each]): each for each in chosen}
-        image = self.folder / f"{name}_mask.png"
-        written = [written_path(path) for path in (*paths, *[image] * (self.mask is not None))]
-        for path, each in paths.items():
+        written = []
+        for each in FORMATS if format == "all" else [format]:
+            path = self.folder / (name + ENDINGS[each])
+            written.append(written_path(path))
             write(path, {name: self.session.camera}, each)
         if self.mask is not None:
-            io.save_image(image, self.mask)
+            path = self.folder / f"{name}_mask.png"
+            written.append(written_path(path))
+            io.save_image(path, self.mask)
         return {"written": written}
 
     def save(self, name: str, free: Sequence[str]) -> Answer:

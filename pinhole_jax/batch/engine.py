@@ -42,13 +42,12 @@ def rows_of(
         setup = setup._replace(workers=len(first))
         own = [_Worker(setup, number) for number in range(len(first))]
     most = AHEAD * (workers or getattr(executor, "_max_workers", 8))
-    idle: list[Any] = [*own] if executor is None else [executor] * most
+    idle: list[Any] = [*own] or [executor] * most
     running: dict[Future[Row], tuple[Record, Any, float]] = {}
     tried: set[str] = set()
-    again: list[Record] = []
     try:
         while True:
-            while idle and (record := again.pop() if again else next(waiting, None)) is not None:
+            while idle and (record := next(waiting, None)) is not None:
                 place = idle.pop()
                 try:
                     future = place.submit(worker.run, record, setup)
@@ -70,7 +69,7 @@ def rows_of(
                     yield empty_row(record, "crashed", f"{type(error).__name__}: {error}")
                 else:
                     tried.add(record["id"])
-                    again.append(record)
+                    waiting = itertools.chain([record], waiting)
             for _, place, since in running.values():
                 if own and time.monotonic() - since > setup.patience:
                     place.end()  # stuck outside Python; its future ends with it

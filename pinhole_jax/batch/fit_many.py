@@ -8,13 +8,12 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from concurrent.futures import Executor
 from datetime import timedelta
 from functools import partial
-from reprlib import repr as brief
 from typing import Any, NamedTuple
 
 from .._files.paths import FilePath
 from ..names import STATUSES
 from .engine import rows_of, tracked_rows
-from .parts import Results, Writer
+from .parts import Place, Results, Writer, places_of
 from .records import Record, check_id, plain_record, settings_of, shard_of
 from .rows import NO_FIT, Row
 from .worker import TOKEN, Setup
@@ -113,9 +112,9 @@ def fit_many(
     if track and executor is not None:
         raise ValueError("`executor`: expected None with `track`, got one")
     results = None if out is None else Results(out)
-    there = (row for row in results or () if row["status"] not in retry)
-    done = {row["id"]: _settings_key(json.loads(row["record"])) for row in there}
-    is_done = partial(_is_done, done=done, results=results)
+    places = {} if results is None else places_of(results.folder)
+    done = {id: place for id, place in places.items() if place.status not in retry}
+    is_done = partial(_is_done, done=done)
     total, before = None, 0
     if not isinstance(items, Iterator):  # all ids are checked: none ends a run of hours
         finished = [is_done(record) for record in _shard_records(items, shard)]
@@ -188,22 +187,16 @@ def _shard_records(items: Iterable[Record], shard: tuple[int, int]) -> Iterator[
             yield record
 
 
-def _settings_key(record: Record) -> int:
-    """Return a number that tells a plain record's settings from others."""
-    return hash(json.dumps(settings_of(record), sort_keys=True))
-
-
-def _is_done(record: Record, done: Mapping[str, int], results: Results | None) -> bool:
+def _is_done(record: Record, done: Mapping[str, Place]) -> bool:
     """Return True for a finished record; raise ValueError if its settings have changed."""
     id = record["id"]
-    if results is None or id not in done:
+    if id not in done:
         return False
-    plain = plain_record(record)
-    if done[id] == _settings_key(plain):
+    now, then = map(settings_of, (plain_record(record), json.loads(done[id].row()["record"])))
+    if now == then:
         return True
-    now, then = settings_of(plain), settings_of(json.loads(results.row(id)["record"]))
     other = next(name for name in now | then if now.get(name) != then.get(name))
-    values = f"{brief(then.get(other))}, and now {brief(now.get(other))}"
+    values = f"{then.get(other)!s:.80}, and now {now.get(other)!s:.80}"
     words = f"expected unchanged records, got {id!r}, whose {other!r} was {values}"
     raise ValueError(f"`out`: {words}; use another folder for new settings")
 

@@ -52,7 +52,7 @@ class Writer:
         self._waiting, self._flushed = [], time.monotonic()
 
 
-class _Place(NamedTuple):
+class Place(NamedTuple):
     """A row's part, the bytes before it there, and its status."""
 
     path: Path
@@ -87,18 +87,18 @@ class Results:
 
     def ids(self) -> set[str]:
         """Return the ids of all rows."""
-        return {*self._places()}
+        return {*places_of(self.folder)}
 
     def __len__(self) -> int:
-        return len(self._places())
+        return len(places_of(self.folder))
 
     def __iter__(self) -> Iterator[Row]:
-        places = self._places()
+        places = places_of(self.folder)
         return (places[id].row() for id in sorted(places))
 
     def rows(self, ids: Iterable[str]) -> list[Row]:
         """Return the rows of these ids, in their order; raise ValueError for an unknown id."""
-        places, wanted = self._places(), [*ids]
+        places, wanted = places_of(self.folder), [*ids]
         if missing := [id for id in wanted if id not in places]:
             words = f"expected one of the rows in {str(self.folder)!r}, got {missing[0]!r}"
             raise ValueError(f"`id`: {words}")
@@ -110,21 +110,23 @@ class Results:
 
     def counts(self) -> dict[str, int]:
         """Return the number of rows of each status, the most frequent first."""
-        return dict(Counter(place.status for place in self._places().values()).most_common())
+        statuses = (place.status for place in places_of(self.folder).values())
+        return dict(Counter(statuses).most_common())
 
-    def _places(self) -> dict[str, _Place]:
-        """Return the place of each id's last row."""
-        places: dict[str, _Place] = {}
-        for path in sorted(self.folder.glob("part-*.jsonl")):
-            offset = 0
-            with open(path, "rb") as stream:
-                for line in stream:
-                    try:
-                        row = json.loads(line)
-                        places[row["id"]] = _Place(path, offset, row["status"])
-                    except (ValueError, KeyError, TypeError):
-                        words = f"expected rows of `fit_many`, got {path.name}"
-                        cure = "if it is damaged, delete it: its records are fitted again"
-                        raise ValueError(f"`out`: {words}; {cure}") from None
-                    offset += len(line)
-        return places
+
+def places_of(folder: Path) -> dict[str, Place]:
+    """Return the place of each id's last row in a folder; raise ValueError for other files."""
+    places: dict[str, Place] = {}
+    for path in sorted(folder.glob("part-*.jsonl")):
+        offset = 0
+        with open(path, "rb") as stream:
+            for line in stream:
+                try:
+                    row = json.loads(line)
+                    places[row["id"]] = Place(path, offset, row["status"])
+                except (ValueError, KeyError, TypeError):
+                    words = f"expected rows of `fit_many`, got {path.name}"
+                    cure = "if it is damaged, delete it: its records are fitted again"
+                    raise ValueError(f"`out`: {words}; {cure}") from None
+                offset += len(line)
+    return places

@@ -125,10 +125,12 @@ def has_numbers(text: str) -> bool:
         return False
 
 
-def settings_of(record: Record) -> dict[str, Any]:
-    """Return the fields of a plain record that change its fit, but for its id and its paths."""
+def settings_of(record: Record) -> dict[str, str]:
+    """Return the fields of a plain record that change its fit, but for its id and its paths, as
+    JSON."""
     others = {"id", *files_of(record)}
-    return {n: x for n, x in record.items() if n not in others and x != DEFAULTS.get(n, ...)}
+    changed = {n: x for n, x in record.items() if n not in others and x != DEFAULTS.get(n, ...)}
+    return {name: json.dumps(x, sort_keys=True) for name, x in changed.items()}
 
 
 def digest_of(record: Record) -> str:
