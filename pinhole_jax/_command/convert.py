@@ -10,12 +10,12 @@ from .outputs import say_written
 
 def run(options: argparse.Namespace, progress: Ticker) -> int:
     """Read and write; return 0."""
-    size = None if options.size is None else (options.size[0], options.size[1])
+    size = options.size and tuple(options.size)
     with named(path="input", format="from"):
         cameras = formats.read(options.input, getattr(options, "from"), size=size)
     target = options.to or formats.guess_write(options.output)
     sizes = ", ".join(dict.fromkeys(f"{camera.W} x {camera.H}" for camera in cameras.values()))
-    count = "1 camera" if len(cameras) == 1 else f"{len(cameras)} cameras"
+    count = f"{len(cameras)} camera{'s' * (len(cameras) != 1)}"
     progress.done()
     words = f" ({target}, {count}, {sizes})"
     with (

@@ -84,10 +84,9 @@ def _views(
         there = as_coverage(mask)
         difference = there - np.asarray(silhouette(*seen), float)
         whole = max(float(there.sum()), 1.0)
-        less, more = (float(part.clip(0).sum()) / whole for part in (difference, -difference))
-        cells = (view.iou, ".4f"), (view.sigma, ".1f"), (view.weight, ".2f"), (view.worth, ".2f")
-        shares = f"{less:.1%}", f"{more:.1%}"
-        rows.append([f"{k} {name}", *(f"{x:{digits}}" for x, digits in cells), *shares])
+        less, more = (part.clip(0).sum() / whole for part in (difference, -difference))
+        errors = f"{view.iou:.4f}", f"{view.sigma:.1f}", f"{view.weight:.2f}", f"{view.worth:.2f}"
+        rows.append([f"{k} {name}", *errors, f"{less:.1%}", f"{more:.1%}"])
         notes += [f"view {k}: {words}" for words in disagreement(*seen, mask)]
     heads = ("view", "IoU", "sigma off", "weight", "worth", "mask only", "robot only")
     return outlines, table(heads, rows, "Each mask", "views") + VIEW_WORDS + items(notes)

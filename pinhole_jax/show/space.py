@@ -151,10 +151,8 @@ def points_of(scene: Scene) -> Points:
     """Return the points of an object: vertices of faces, and the ends of spheres' boxes."""
     points = [np.zeros((0, 3))]
     if scene.mesh is not None:
-        used = np.unique(np.asarray(scene.mesh.faces))
-        points.append(np.asarray(scene.mesh.vertices, float)[used])
+        points.append(np.asarray(scene.mesh.vertices, float)[np.unique(scene.mesh.faces)])
     if scene.spheres is not None:
-        sides = np.concatenate([np.eye(3), -np.eye(3)])
-        out = np.asarray(scene.spheres.radii, float)[:, None, None] * sides
-        points += [*(np.asarray(scene.spheres.centers, float)[:, None] + out)]
+        out = np.multiply.outer([1.0, -1.0], np.multiply.outer(scene.spheres.radii, np.eye(3)))
+        points.append((np.asarray(scene.spheres.centers)[:, None] + out).reshape(-1, 3))
     return np.concatenate(points)

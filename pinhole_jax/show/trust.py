@@ -43,14 +43,12 @@ class Trust(NamedTuple):
 
     def __str__(self) -> str:
         """Return it as a sentence."""
-        film, edge = self.film, self.outline
         place = ", ".join(f"{x:.3g}" for x in self.point)
-        span = f"{film.min():.2g} to {film.max():.2g} px"
-        words = f"An error of one sigma moves points at the object's depth by {span}"
-        if edge.size:
-            words += f", the outline by up to {edge.max():.2g} px"
+        edge = f", the outline by up to {self.outline.max():.2g} px" if self.outline.size else ""
         return (
-            f"{words}, and the object by up to {self.object:.2g} units of the mesh, at ({place})."
+            "An error of one sigma moves points at the object's depth by"
+            f" {self.film.min():.2g} to {self.film.max():.2g} px{edge}, and the object by up to"
+            f" {self.object:.2g} units of the mesh, at ({place})."
         )
 
     def _repr_svg_(self) -> str:
