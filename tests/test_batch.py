@@ -457,6 +457,8 @@ def test_finished_rows_with_other_settings_are_refused(records, rows, tmp_path):
     for items in ([other], iter([other])):
         with refusal(words):
             pj.fit_many(items, out=tmp_path)  # no worker starts
+    with refusal("'outlier_px' was None, and now null"):  # (null is a setting of its own)
+        pj.fit_many([records[0] | {"outlier_px": None}], out=tmp_path)
 
 
 def test_shards_make_the_whole(records, rows, tmp_path):
