@@ -10,7 +10,6 @@ import re
 import secrets
 import stat
 import sys
-import tempfile
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -164,14 +163,19 @@ def replace_file(path: Any, data: bytes | Iterable[bytes], *, lasting: bool = Fa
 
 
 def check_writable(path: Any) -> None:
-    """Raise ValueError, as `replace_file` would, where a file cannot be written: one is opened in
-    the last folder that there is on the way to it, and is gone at once."""
+    """Raise ValueError, as `replace_file` would, where a file cannot be written: folders are made
+    and a file is written there, and both are removed again."""
     target = as_path(path)
     with refusal(path, "a file to write"):
-        if not is_stream(target):
-            _is_file(target)
-            folder = next(folder for folder in target.parents if folder.exists())
-            tempfile.TemporaryFile(dir=folder).close()
+        if is_stream(target):
+            return
+        _is_file(target)
+        made = [folder for folder in target.parents if not folder.exists()]
+        trial = target.parent / f"tmp{secrets.token_hex(8)}"
+        _replace(trial, [b""], lasting=False)
+        trial.unlink()
+        for folder in made:
+            folder.rmdir()
 
 
 @contextmanager
