@@ -330,8 +330,7 @@ def behind_something(refiner: Refiner, plain: Candidate) -> list[Candidate]:
         found += refiner.proposals(proposed(), best)
         before, best = best, max([best, *found], key=lambda c: c.log)
         if best is not before:
-            twins = solver.subject.alike.views(best.found.camera)
-            found += refiner.proposals(twins, best)
+            found += refiner.proposals(lookalikes(solver, best.found.camera), best)
         if start is not None and best.is_surely_explained():
             break
     return found
