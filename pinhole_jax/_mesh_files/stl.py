@@ -4,17 +4,13 @@ import re
 
 import numpy as np
 
-from .numbers import parse_numbers, strip_mark
+from .numbers import parse_numbers, strip_mark, word_counts
 from .polygons import Polygons
 
 #: A facet of a binary file.
 FACET = np.dtype([("normal", "<3f4"), ("corners", "<9f4"), ("attribute", "<u2")])
-#: A solid may have any name: all of its line.
-NAME = re.compile(rb"^([ \t]*(?:end)?solid\b).*", re.I | re.M)
-VERTEX = re.compile(rb"^[ \t]*vertex((?:[ \t]+\S+){3})[ \t]*$", re.I | re.M)
-WORD = re.compile(
-    rb"^[ \t]*(solid|endsolid|endloop|vertex(?=(?:[ \t]+\S+){3}[ \t]*$))\b", re.I | re.M
-)
+#: Lines of text that count, and what follows in them: a solid's may be any name.
+LINE = re.compile(rb"^[ \t]*(solid|endsolid|endloop|vertex)\b(.*)", re.I | re.M)
 WHOLE = re.compile(rb"vertex vertex vertex endloop|solid|endsolid| ")
 
 
@@ -28,14 +24,15 @@ def read_stl(data: bytes) -> Polygons:
         points = np.frombuffer(data, FACET, count, 84)["corners"].astype(float)
     else:
         data = strip_mark(data) if data[:2] != b"\0\0" else data
-        data = NAME.sub(rb"\1", data.replace(b"\r", b"\n"))
-        words = b" ".join(WORD.findall(data)).lower()
+        lines = LINE.findall(data.replace(b"\r", b"\n"))
+        words = b" ".join(word for word, _ in lines).lower()
         if not words.startswith(b"solid"):
             raise ValueError(f"{len(data)} bytes for {count} faces, and no text either")
         if not words.endswith(b"endsolid"):
             raise ValueError("text without its end, `endsolid`")
-        if WHOLE.sub(b"", words):
+        corners = [rest for word, rest in lines if word.lower() == b"vertex"]
+        if WHOLE.sub(b"", words) or np.any(word_counts(corners) != 3):
             raise ValueError("expected facets of three corners, of three coordinates, got others")
-        points = parse_numbers(b"\n".join(VERTEX.findall(data)), float, "vertices")
+        points = parse_numbers(b"\n".join(corners), float, "vertices")
     corners = np.arange(points.size // 3)
     return Polygons(points.reshape(-1, 3), corners, np.full(len(corners) // 3, 3))

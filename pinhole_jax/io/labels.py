@@ -68,12 +68,13 @@ def _counted(numbers: np.ndarray, seen: np.ndarray | None) -> tuple[np.ndarray, 
     from scipy.ndimage import maximum_filter, minimum_filter
 
     pixels, flat_pixels = Counter[float](), Counter[float]()
-    for part in rows(*numbers.shape):
-        here = numbers[max(part.start - 1, 0) : part.stop + 1]
+    H, W = numbers.shape
+    for part in rows(H - 2, W):  # of the pixels within the border
+        here = numbers[part.start : part.stop + 2]
         flat = (minimum_filter(here, 3) == maximum_filter(here, 3))[1:-1, 1:-1]
         here = here[1:-1, 1:-1]
         if seen is not None:
-            shown = seen[max(part.start, 1) : part.stop + 1, 1:-1][: len(here)]
+            shown = seen[1:-1, 1:-1][part]
             here, flat = here[shown], flat[shown]
         for total, some in ((pixels, here), (flat_pixels, here[flat])):
             values, counts = value_counts(some)

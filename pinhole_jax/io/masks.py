@@ -183,12 +183,9 @@ def _at_first_sight(picture: Picture) -> MaskReading:
 
 def _has_colour(colours: np.ndarray) -> bool:
     """Whether a pixel's red, green and blue (H, W, 3) differ by more than a grey one's."""
-    for part in rows(*colours.shape[:2]):  # (np.ptp over three takes twenty times as long)
-        red, green, blue = np.moveaxis(colours[part], 2, 0)
-        least, most = np.minimum(red, green), np.maximum(red, green)
-        if np.max(np.maximum(most, blue) - np.minimum(least, blue)) > GREY:
-            return True
-    return False
+    # (Over the three values of a pixel np.ptp takes twenty times as long as over planes.)
+    parts = (np.moveaxis(colours[part], 2, 0).copy() for part in rows(*colours.shape[:2]))
+    return any(np.max(np.ptp(planes, axis=0)) > GREY for planes in parts)
 
 
 def _stretched(grey: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -199,7 +196,7 @@ def _stretched(grey: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 def _transparent(picture: Picture, opaque: np.ndarray) -> MaskReading | None:
     """Return the mask of a picture whose transparency varies, None where it does not."""
-    values, words, colours = np.unique(opaque), ALPHA, picture.colours
+    values, words, colours = value_counts(opaque)[0], ALPHA, picture.colours
     if len(values) == 1:
         if values[0] == 0 and np.any(colours != colours[0, 0]):
             words = "a picture that is transparent everywhere; say what is the object"
@@ -253,11 +250,11 @@ def _label(picture: Picture, number: int) -> MaskReading:
     numbers = picture.numbers
     if numbers is None:
         raise ValueError("a colour picture: labels are grey values or a palette's")
-    mask = np.where(numbers == number, np.uint8(255), np.uint8(0))
-    values = np.unique(np.concatenate([np.unique(numbers[part]) for part in rows(*numbers.shape)]))
+    values, counts = value_counts(numbers)
     if number not in values:
         raise ValueError(f"no pixel with the label {number}; there are {_listed(values)}")
-    share = np.count_nonzero(mask) / mask.size
+    mask = np.where(numbers == number, np.uint8(255), np.uint8(0))
+    share = counts[values == number][0] / numbers.size
     words = f"mask: label {number}, {share:.1%} of the picture, edges hard"
     void = [x for x in VOID if x in values and x != number and len(values) > 2]
     if void:
