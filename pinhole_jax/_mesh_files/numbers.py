@@ -18,21 +18,17 @@ def strip_mark(data: bytes) -> bytes:
     return data.removeprefix(codecs.BOM_UTF8)
 
 
-def parse_numbers(text: bytes, kind: type, what: str, size: int | None = None) -> np.ndarray:
-    """Return the numbers (size,) of a text, float or int, parted by white space.
+def parse_numbers(text: bytes, kind: type, what: str) -> np.ndarray:
+    """Return the numbers of a text, float or int, parted by white space.
 
-    Raises ValueError, which names them by `what`, for words that are no numbers, and for more or
-    fewer numbers.
+    Raises ValueError, which names them by `what`, for words that are no numbers.
     """
     try:
         with warnings.catch_warnings(action="error", category=DeprecationWarning):
             # Of white space alone it makes a number.
-            numbers = np.fromstring(text if text.strip() else b"", dtype=kind, sep=" ")
+            return np.fromstring(text if text.strip() else b"", dtype=kind, sep=" ")
     except (DeprecationWarning, ValueError):
         raise ValueError(f"expected numbers in {what}, got {_no_number(text, kind)}") from None
-    if size is not None and numbers.size != size:
-        raise ValueError(f"expected {size} numbers in {what}, got {numbers.size}")
-    return numbers
 
 
 def _no_number(text: bytes, kind: type) -> str:
@@ -52,9 +48,16 @@ def to_integers(numbers: np.ndarray, what: str) -> np.ndarray:
     return numbers.astype(int)
 
 
-def word_counts(lines: list[bytes]) -> np.ndarray:
-    """Return the number of words of each line, (L,)."""
-    return np.array([len(line.split()) for line in lines], int)
+def parse_rows(lines: list[bytes], kind: type, what: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return the numbers of all lines in a row, and how many each line has, (L,).
+
+    Raises ValueError as `parse_numbers`, and for a sign alone, which NumPy joins to what follows.
+    """
+    counts = np.array([len(line.split()) for line in lines], int)
+    numbers = parse_numbers(b"\n".join(lines), kind, what)
+    if numbers.size != np.sum(counts):
+        raise ValueError(f"expected {np.sum(counts)} numbers in {what}, got {numbers.size}")
+    return numbers, counts
 
 
 def parse_points(lines: list[bytes]) -> np.ndarray:
@@ -62,9 +65,8 @@ def parse_points(lines: list[bytes]) -> np.ndarray:
 
     Raises ValueError where there are fewer.
     """
-    counts = word_counts(lines)
-    if counts.size and np.min(counts) < 3:
+    numbers, counts = parse_rows(lines, float, "vertices")
+    if np.any(counts < 3):
         raise ValueError(f"vertex {np.argmin(counts) + 1}: {np.min(counts)} coordinates")
-    if np.any(counts != 3):
-        lines = [b" ".join(line.split(None, 3)[:3]) for line in lines]
-    return parse_numbers(b"\n".join(lines), float, "vertices", 3 * len(lines)).reshape(-1, 3)
+    starts = np.cumsum(counts) - counts
+    return numbers[starts[:, None] + np.arange(3)]

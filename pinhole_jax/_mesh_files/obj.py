@@ -8,7 +8,7 @@ from itertools import compress
 
 import numpy as np
 
-from .numbers import COMMENT, parse_numbers, parse_points, strip_mark, word_counts
+from .numbers import COMMENT, parse_points, parse_rows, strip_mark
 from .polygons import Polygons
 
 #: How statements begin that are read, and those that add faces which are not.
@@ -33,10 +33,9 @@ def read_obj(data: bytes) -> Polygons:
     is_vertex, is_face = (
         np.array([line.startswith(kinds) for line in lines], bool) for kinds in (VERTEX, FACE)
     )
-    faces = [line[2:] for line in compress(lines, is_face)]
-    counts = word_counts(faces)
-    text = re.sub(rb"/\S*", b"", b"\n".join(faces))  # without textures and normals
-    corners = parse_numbers(text, int, "faces", int(np.sum(counts)))
+    faces = b"\n".join(line[2:] for line in compress(lines, is_face))
+    plain = re.sub(rb"\b/\S*", b"", faces)  # without textures and normals
+    corners, counts = parse_rows(plain.splitlines(), int, "faces")
     if np.any(corners == 0):
         raise ValueError("a face with the vertex 0; they are counted from 1")
     before = np.repeat(np.cumsum(is_vertex)[is_face], counts)

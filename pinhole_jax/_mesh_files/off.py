@@ -8,9 +8,9 @@ from .numbers import (
     COMMENT,
     parse_numbers,
     parse_points,
+    parse_rows,
     strip_mark,
     to_integers,
-    word_counts,
 )
 from .polygons import Polygons
 
@@ -42,8 +42,7 @@ def read_off(data: bytes) -> Polygons:
     points = parse_points(lines[1 : 1 + vertices])
     # A face's line is a number of corners, as many vertices, then perhaps a colour.
     lines = lines[1 + vertices : 1 + vertices + faces]
-    words = word_counts(lines)
-    numbers = parse_numbers(b"\n".join(lines), float, "faces", int(np.sum(words)))
+    numbers, words = parse_rows(lines, float, "faces")
     starts = np.cumsum(words) - words
     counts = to_integers(numbers[starts], "the numbers of corners")
     wrong = (counts < 0) | (counts >= words)

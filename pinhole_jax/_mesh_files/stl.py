@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 
-from .numbers import parse_numbers, strip_mark, word_counts
+from .numbers import parse_rows, strip_mark
 from .polygons import Polygons
 
 #: A facet of a binary file.
@@ -30,9 +30,9 @@ def read_stl(data: bytes) -> Polygons:
             raise ValueError(f"{len(data)} bytes for {count} faces, and no text either")
         if not words.endswith(b"endsolid"):
             raise ValueError("text without its end, `endsolid`")
-        corners = [rest for word, rest in lines if word.lower() == b"vertex"]
-        if WHOLE.sub(b"", words) or np.any(word_counts(corners) != 3):
+        vertices = [rest for word, rest in lines if word.lower() == b"vertex"]
+        points, counts = parse_rows(vertices, float, "vertices")
+        if WHOLE.sub(b"", words) or np.any(counts != 3):
             raise ValueError("expected facets of three corners, of three coordinates, got others")
-        points = parse_numbers(b"\n".join(corners), float, "vertices")
     corners = np.arange(points.size // 3)
     return Polygons(points.reshape(-1, 3), corners, np.full(len(corners) // 3, 3))
