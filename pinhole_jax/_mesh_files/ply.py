@@ -9,7 +9,8 @@ from .numbers import parse_numbers, strip_mark, to_integers
 from .polygons import NOTHING, Polygons, cut_strips
 
 #: What the header calls a type, and NumPy.
-TYPES = dict(zip("char uchar short ushort int uint float double".split(), "bBhHiIfd", strict=True))
+NAMES = "char uchar short ushort int uint float double"
+TYPES = dict(zip(NAMES.split(), "bBhHiIfd", strict=True))
 SIZED = "int8 uint8 int16 uint16 int32 uint32 int64 uint64 float16 float32 float64"
 TYPES |= {name: np.dtype(name).str[1:] for name in SIZED.split()}
 ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}

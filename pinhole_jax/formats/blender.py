@@ -62,7 +62,7 @@ def write_blender(path: FilePath, cameras: NamedCameras) -> None:
     pj.formats.write_blender("blender.json", {"left.png": camera})
     ```
     """
-    check_cameras(cameras, "JSON")
+    check_cameras(cameras)
     parts = {name: to_blender(camera) for name, camera in cameras.items()}
     save_json(path, {"schema": SCHEMA, "cameras": parts})
 

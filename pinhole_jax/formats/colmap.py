@@ -27,8 +27,8 @@ from .pinhole import (
     by_name,
     camera_from_pinhole,
     check_cameras,
-    distortion_model,
     pinhole,
+    read_distortion,
 )
 
 #: COLMAP's models by name: their numbers, and parameters; what is not f, fx, fy, cx, cy is
@@ -139,8 +139,7 @@ def _view(model: str, names: Sequence[str], fields: Fields) -> Intrinsics:
     focals = [fields.positive(name) for name in names if name[0] == "f"]
     centre = fields.number("cx"), fields.number("cy")
     size = fields.integer("WIDTH"), fields.integer("HEIGHT")
-    distorted = {name: fields.number(name) for name in names if name[0] in "kp"}
-    distortion = distortion_model(distorted, fields, model.endswith("FISHEYE"))
+    distortion = read_distortion(fields, model.endswith("FISHEYE"))
     return Pinhole(focals[0], focals[-1], *centre, *size, distortion), fields
 
 

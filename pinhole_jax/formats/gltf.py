@@ -66,7 +66,7 @@ def write_gltf(path: FilePath, cameras: NamedCameras) -> None:
     pj.formats.write_gltf("left.gltf", {"left.png": camera})
     ```
     """
-    check_cameras(cameras, "JSON")
+    check_cameras(cameras)
     nodes = [
         {"name": name, "camera": k, "matrix": world_from_camera(camera, OPENGL).T.ravel().tolist()}
         for k, (name, camera) in enumerate(cameras.items())

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from .._camera.camera import Camera
+from .._camera.distortion import COEFFICIENTS
 from .._camera.matrices import Centres
 from .._files.fields import Fields, Size
 from .._files.paths import FilePath, file_and_name, read_json
@@ -14,7 +15,7 @@ from .._numerics.arrays import Input
 from .colmap import colmap_intrinsics
 from .native import camera_from_fields
 from .opencv import known_name, opencv_intrinsics
-from .pinhole import COEFFICIENTS, KIND, OPENGL, Pinhole, camera_from_pinhole, chosen, pinhole
+from .pinhole import KIND, OPENGL, Pinhole, camera_from_pinhole, chosen, pinhole
 from .unknown import CAMCHAIN, unknown
 
 #: Names of fx, fy, cx, cy, one by one.

@@ -47,7 +47,7 @@ def camera_to_dict(camera: Camera) -> dict[str, object]:
         "d": float(camera.d),
         "W": camera.W,
         "H": camera.H,
-        "lens": None if lens is None else _lens_to_dict(lens),
+        "lens": lens and _lens_to_dict(lens),
         "pose": {name: _plain(value) for name, value in zip(POSE, pose, strict=True)},
     }
 
@@ -141,8 +141,9 @@ def _lens(fields: Fields) -> Lens:
     lens, distortion = fields.part("lens", only=("principal_point", "aspect", "distortion")), None
     if lens.data.get("distortion") is not None:
         model = MODELS[lens.part("distortion").text("model", [*MODELS])]
-        part = lens.part("distortion", only=("model", *model.powers))
-        distortion = model(**{name: part.data[name] for name in part.data if name != "model"})
+        part = dict(lens.part("distortion", only=("model", *model.powers)).data)
+        del part["model"]
+        distortion = model(**part)
     centre = lens.get("principal_point", "x and y, px")
     return Lens(centre, lens.data.get("aspect", 1.0), distortion)
 
@@ -207,7 +208,7 @@ def write_json(path: FilePath, cameras: NamedCameras) -> None:
     pj.formats.write_json("left.json", {"left.png": camera})
     ```
     """
-    check_cameras(cameras, "JSON")
+    check_cameras(cameras)
     if len(cameras) == 1:
         ((name, camera),) = cameras.items()
         save_camera(path, camera, name=name)

@@ -6,11 +6,10 @@ before them. `cx`, `cy` are px from the image's top-left corner, y down; pixel c
 """
 
 from .._camera.camera import Camera
-from .._camera.distortion import Fisheye, Rational
+from .._camera.distortion import COEFFICIENTS, Fisheye, Rational
 from .._files.fields import Fields, Size, read_fields
 from .._files.paths import FilePath
 from .pinhole import (
-    COEFFICIENTS,
     KIND,
     OPENGL,
     Cameras,
@@ -19,10 +18,10 @@ from .pinhole import (
     by_name,
     camera_from_pinhole,
     check_cameras,
-    distortion_model,
     focal_from_fov,
     fov_from_focal,
     pinhole,
+    read_distortion,
     read_pose,
     save_json,
     world_from_camera,
@@ -70,7 +69,7 @@ def write_nerf(path: FilePath, cameras: NamedCameras) -> None:
     pj.formats.write_nerf("transforms.json", {"left.png": camera})
     ```
     """
-    check_cameras(cameras, "JSON")
+    check_cameras(cameras)
     models = {isinstance(camera.distortion, Fisheye) for camera in cameras.values()}
     if len(models) > 1:
         raise ValueError("`cameras`: expected fisheyes or none in one file, got both")
@@ -99,8 +98,7 @@ def _with_shared(frame: Fields, top: Fields) -> Fields:
 def _camera(fields: Fields, size: Size | None) -> Camera:
     model = fields.text("camera_model", MODELS, "OPENCV")
     fisheye = model == FISHEYE or ("is_fisheye" in fields and fields.flag("is_fisheye"))
-    coefficients = {name: fields.number(name) for name in COEFFICIENTS if name in fields}
-    distortion = distortion_model(coefficients, fields, fisheye, rational=False)
+    distortion = read_distortion(fields, fisheye, rational=False)
     W, H = fields.size("w", "h", size)
     if "fl_x" in fields:
         fx = fields.positive("fl_x")

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from .._camera.distortion import BrownConrady, Distortion, Fisheye, Rational
+from .._camera.distortion import COEFFICIENTS, BrownConrady, Distortion, Fisheye
 from .._camera.matrices import Centres, half_pixel
 from .._camera.poses import Pose, exponential, inverse, pose_of
 from .._files.fields import Fields, Size, as_numbers, short
@@ -26,9 +26,9 @@ from .pinhole import (
     by_name,
     camera_from_pinhole,
     check_cameras,
-    distortion_model,
     pinhole,
     pose_from_matrix,
+    read_distortion,
     read_matrix,
 )
 from .unknown import unknown
@@ -78,7 +78,7 @@ MENTIONED = re.compile(r"fisheye|equidist|kannala")
 #: What YAML and JSON write where there is nothing.
 NULLS = (None, "~", "null", "")
 #: The coefficients in their order; what follows those of `Rational` is not read.
-COEFFICIENTS = (*Rational.powers, "s1", "s2", "s3", "s4", "tau_x", "tau_y")
+ORDER = (*COEFFICIENTS, "s1", "s2", "s3", "s4", "tau_x", "tau_y")
 #: A rotation vector that is longer (rad) has lost its angle to rounding.
 MOST_ANGLE = 1e4
 #: What YAML cannot hold as it stands, or takes for the end of a line.
@@ -194,7 +194,7 @@ def _known(file: Fields) -> Fields:
     from . import storage
 
     known: dict[str, Any] = {}
-    written = {name: str(key) for key in file.data if (name := known_name(key)) is not None}
+    written: dict[str, str] = {}
     for key, value in file.data.items():
         name = known_name(key)
         if isinstance(value, str | None) and value in NULLS:
@@ -209,9 +209,10 @@ def _known(file: Fields) -> Fields:
         elif name in known:
             raise file.wrong(name, "one such field", f"{str(key)!r} too")
         else:
-            value = storage.matrix_array(name, value, file.where)
+            value = storage.matrix_array(file, name, value)
             flat = name != "extrinsic_parameters" and 1 in getattr(as_numbers(value), "shape", ())
             known[name] = np.ravel(value) if flat else value
+            written[name] = str(key)
     return Fields(known, file.where, written)
 
 
@@ -276,15 +277,16 @@ def _poses(fields: Fields) -> list[Pose]:
 
 def _distortion(fields: Fields) -> Distortion | None:
     name, fisheye = "distortion_coefficients", fields.data.get("fisheye", False)
-    names, sizes = (Fisheye.powers, (4,)) if fisheye else (COEFFICIENTS, (4, 5, 8, 12, 14))
+    names, sizes = (Fisheye.powers, (4,)) if fisheye else (ORDER, (4, 5, 8, 12, 14))
     if isinstance(fields.data.get(name), Mapping):
         part = fields.part(name)
-        return distortion_model({key: part.number(key) for key in part.data}, fields, fisheye)
-    values = np.ravel(fields.array(name)) if name in fields else ()
-    if len(values) not in (0, *sizes):
-        words = " or ".join(map(str, sizes)) + " coefficients"
-        raise fields.wrong(name, words + " of a fisheye" * fisheye, values)
-    return distortion_model(dict(zip(names, map(float, values), strict=False)), fields, fisheye)
+    else:
+        values = np.ravel(fields.array(name)) if name in fields else ()
+        if len(values) not in (0, *sizes):
+            words = " or ".join(map(str, sizes)) + " coefficients"
+            raise fields.wrong(name, words + " of a fisheye" * fisheye, values)
+        part = Fields(dict(zip(names, values, strict=False)), fields.where)
+    return read_distortion(part, fisheye, names=part.data)
 
 
 def _matrix(name: str, array: np.ndarray) -> str:

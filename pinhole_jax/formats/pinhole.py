@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._camera.camera import Camera, check_camera, focal_px, principal_point
-from .._camera.distortion import BrownConrady, Distortion, Fisheye, Rational
+from .._camera.distortion import COEFFICIENTS, BrownConrady, Distortion, Fisheye, Rational
 from .._camera.matrices import Centres, half_pixel
 from .._camera.poses import Pose, check_pose, inverse, pose_of
 from .._files.fields import Fields, Part, read_fields, short
@@ -31,8 +31,6 @@ OPENCV = np.eye(4)
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 #: x left, y up, z forward: PyTorch3D, Mitsuba.
 LEFT_UP_FORWARD = np.diag([-1.0, -1.0, 1.0, 1.0])
-#: Coefficients of a lens, as files name them one by one.
-COEFFICIENTS = (*Rational.powers,)
 
 
 class Pinhole(NamedTuple):
@@ -117,17 +115,18 @@ def to_opencv(
     )  # OpenCV wants them contiguous
 
 
-def distortion_model(
-    coefficients: Mapping[str, float], fields: Fields, fisheye: bool, rational: bool = True
+def read_distortion(
+    fields: Fields, fisheye: bool, rational: bool = True, names: Iterable[str] = COEFFICIENTS
 ) -> Distortion | None:
-    """Return the distortion with these coefficients: a fisheye's, or of the first of Brown's models
-    that has them.
+    """Return the distortion of the coefficients among some fields: a fisheye's, or of the first of
+    Brown's models that has them.
 
     None if all are 0 and it is no fisheye.
     """
-    models = (Fisheye,) if fisheye else (BrownConrady, Rational)[: 1 + rational]
-    distorted = {name: value for name, value in coefficients.items() if value != 0}
-    model = next((model for model in models if distorted.keys() <= model.powers.keys()), models[-1])
+    numbers = {name: fields.number(name) for name in names if name in fields}
+    distorted = {name: value for name, value in numbers.items() if value != 0}
+    is_brown = not rational or distorted.keys() <= BrownConrady.powers.keys()
+    model = Fisheye if fisheye else BrownConrady if is_brown else Rational
     if unknown := [f"{k} = {x:g}" for k, x in distorted.items() if k not in model.powers]:
         known = f"{', '.join(model.powers)} of a {model.__name__} only"
         raise fields.wrong("distortion", known, ", ".join(unknown))
@@ -205,7 +204,7 @@ def save_json(path: FilePath, data: Any) -> None:
 
 
 def check_cameras(
-    cameras: Any, program: str, can_hold: Callable[[str], Any] = lambda name: True
+    cameras: Any, program: str = "JSON", can_hold: Callable[[str], Any] = lambda name: True
 ) -> None:
     """Raise ValueError unless these are cameras by names that a program can hold."""
     if not isinstance(cameras, Mapping):

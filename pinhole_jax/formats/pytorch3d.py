@@ -146,7 +146,7 @@ def write_pytorch3d(path: FilePath, cameras: NamedCameras) -> None:
     pj.formats.write_pytorch3d("pytorch3d.json", {"left.png": camera})
     ```
     """
-    check_cameras(cameras, "JSON")
+    check_cameras(cameras)
     each = [to_pytorch3d(camera) for camera in cameras.values()]
     arrays = {name: np.concatenate([a[name] for a in each]).tolist() for name in each[0]}
     save_json(path, {"schema": SCHEMA, "in_ndc": False, "names": list(cameras), **arrays})

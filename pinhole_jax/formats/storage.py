@@ -93,7 +93,7 @@ def _scalar(text: str) -> Any:
     return text.strip('"')
 
 
-def matrix_array(name: str, value: Any, where: str) -> Any:
+def matrix_array(file: Fields, name: str, value: Any) -> Any:
     """Return the array of a matrix (rows, cols, dt, data), float64; another value as it is."""
     if not isinstance(value, dict) or "data" not in value:
         return value
@@ -105,4 +105,4 @@ def matrix_array(name: str, value: Any, where: str) -> Any:
         if is_plain and np.all(np.isfinite(array)):
             return array
     words = "an OpenCV matrix (rows, cols, dt, data): rows x cols finite numbers in one channel"
-    raise Fields({}, where).wrong(name, words, value)
+    raise file.wrong(name, words, value)
