@@ -375,6 +375,15 @@ def test_pixel_centres_of_a_file_are_those_that_it_names(tmp_path):
         formats.read_opencv(path, pixel_centres="corner")
 
 
+def test_name_alone_is_that_of_one_pose(tmp_path):
+    alone = YAML.replace('[ "a" ]', "b")
+    assert [*formats.read(put(tmp_path, "c.yaml", alone))] == ["b"]
+    poses = "extrinsic_parameters: [ [ 0, 0, 0, 0, 0, 3 ], [ 0, 0, 0, 0, 0, 4 ] ]\n"
+    two = put(tmp_path, "c.yaml", alone.partition("R: ")[0] + poses)
+    with refusal("`camera_names`: expected 2 different names, got 'b'"):
+        formats.read(two)
+
+
 def test_crops_and_resizes_are_those_of_images():
     crop, resize, bent = formats.cropped, formats.resized, lens_camera(BROWN)
     for camera, film in (

@@ -169,9 +169,7 @@ def _camera(sensor: ET.Element, size: Size | None, where: str) -> Camera:
     films = sensor.findall("film")
     if len(moves) > 1 or len(films) > 1:
         raise fields.wrong("to_world", "one transform and one film", "two")
-    own: Any = dict(zip(FILM, size or (), strict=False))
-    if films:
-        own = _properties(films[0], where).data
+    own = _properties(films[0], where).data if films else dict(zip(FILM, size or (), strict=False))
     film = Fields({**FILM, **own}, f"{where}, film")
     W, H = film.size("width", "height", size)
     focal = _focal(fields, W, H)

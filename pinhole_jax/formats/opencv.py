@@ -119,7 +119,7 @@ def read_opencv(
     view = _intrinsics(fields, size, pixel_centres)
     poses = _poses(fields)
     names = [str(k) for k in range(len(poses))] if len(poses) > 1 else ["camera"]
-    if isinstance(alone := fields.data.get("camera_names"), str):
+    if isinstance(alone := fields.data.get("camera_names"), str) and len(poses) == 1:
         names = [alone]
     elif "camera_names" in fields:
         names = fields.items("camera_names", len(poses), f"{len(poses)} different names")

@@ -131,12 +131,9 @@ def read_pytorch3d(path: FilePath, *, size: Size | None = None) -> Cameras:
     ]
     rows = {name: top.items(name, count, f"a list of {count}") for name in given}
     names = rows.pop("names", range(count))
-    parts = (dict(zip(rows, row, strict=True)) for row in zip(*rows.values(), strict=True))
-    cameras = (
-        _camera(Fields(part, f"{top.where}, camera {k}"), in_ndc, size)
-        for k, part in enumerate(parts)
-    )
-    return by_name(zip(map(str, names), cameras, strict=True), top.where)
+    part = lambda k: Fields({x: rows[x][k] for x in rows}, f"{top.where}, camera {k}")
+    cameras = ((str(name), _camera(part(k), in_ndc, size)) for k, name in enumerate(names))
+    return by_name(cameras, top.where)
 
 
 def write_pytorch3d(path: FilePath, cameras: NamedCameras) -> None:
