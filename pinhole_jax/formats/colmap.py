@@ -123,24 +123,21 @@ def colmap_intrinsics(file: Path) -> dict[str, Intrinsics]:
     """Return the intrinsics of a model's cameras.txt or .bin, by their numbers."""
     cameras: dict[str, Intrinsics] = {}
     for (key, model, *values), where in _records(file):
-        known, given = ", ".join(MODELS), Fields({"CAMERA_ID": key}, where)
+        given = Fields({"CAMERA_ID": key}, where)
         if model not in MODELS:
-            raise given.wrong("MODEL", f"one of {known}", str(model))
+            raise given.wrong("MODEL", f"one of {', '.join(MODELS)}", str(model))
         names = MODELS[model][1].split()
         if len(values) != len(names) + 2:
             words = f"{len(names)} numbers ({', '.join(names)}) of {model}"
             raise given.wrong("PARAMS", words, str(len(values) - 2))
         fields = Fields(dict(zip(("WIDTH", "HEIGHT", *names), values, strict=True)), where)
-        cameras[_new_key(given, "CAMERA_ID", cameras)] = _view(model, names, fields)
+        focals = [fields.positive(name) for name in names if name[0] == "f"]
+        centre = fields.number("cx"), fields.number("cy")
+        size = fields.integer("WIDTH"), fields.integer("HEIGHT")
+        distortion = read_distortion(fields, model.endswith("FISHEYE"))
+        view = Pinhole(focals[0], focals[-1], *centre, *size, distortion)
+        cameras[_new_key(given, "CAMERA_ID", cameras)] = view, fields
     return cameras
-
-
-def _view(model: str, names: Sequence[str], fields: Fields) -> Intrinsics:
-    focals = [fields.positive(name) for name in names if name[0] == "f"]
-    centre = fields.number("cx"), fields.number("cy")
-    size = fields.integer("WIDTH"), fields.integer("HEIGHT")
-    distortion = read_distortion(fields, model.endswith("FISHEYE"))
-    return Pinhole(focals[0], focals[-1], *centre, *size, distortion), fields
 
 
 def _posed(images: Path, cameras: Path) -> Iterator[tuple[str, Camera]]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from .._camera.camera import Camera
-from .._files.fields import Size, short
+from .._files.fields import Fields, Size, short
 from .._files.paths import (
     FilePath,
     as_path,
@@ -29,13 +29,12 @@ from .unknown import unknown
 
 
 class Format(NamedTuple):
-    """A format's reader, writer, the endings of its files, and the part of a JSON file's name that
-    asks for it; `sized`: reading may need the image's size."""
+    """A format's reader, writer, and the endings of its files; `sized`: reading may need the
+    image's size."""
 
     read: Callable[..., Cameras] | None
     write: Callable[[Any, NamedCameras], None]
     endings: tuple[str, ...] = ()
-    word: str | None = None
     sized: bool = True
 
 
@@ -44,14 +43,16 @@ FORMATS = {
     "opencv": Format(read_opencv, write_opencv, (".yml", ".yaml")),
     "colmap": Format(read_colmap, write_colmap, sized=False),
     "colmap-binary": Format(read_colmap, partial(write_colmap, binary=True), sized=False),
-    "nerf": Format(read_nerf, write_nerf, word="transforms"),
-    "blender": Format(read_blender, write_blender, word="blender"),
+    "nerf": Format(read_nerf, write_nerf),
+    "blender": Format(read_blender, write_blender),
     "blender-script": Format(None, write_blender_script, (".py",)),
     "gltf": Format(read_gltf, write_gltf, (".gltf", ".glb")),
-    "pytorch3d": Format(read_pytorch3d, write_pytorch3d, word="pytorch3d"),
+    "pytorch3d": Format(read_pytorch3d, write_pytorch3d),
     "mitsuba": Format(read_mitsuba, write_mitsuba, (".xml",)),
 }
 ENDINGS = {ending: name for name, format in FORMATS.items() for ending in format.endings}
+#: Formats that are JSON, by the part of a file's name that asks for them; the others are our own.
+JSON_NAMES = {"transforms": "nerf", "blender": "blender", "pytorch3d": "pytorch3d"}
 COLMAP_FILES = ("cameras.txt", "images.txt", "cameras.bin", "images.bin")
 #: Fields of JSON, or its schema, that identify a format; the first that are all there.
 FIELDS = {
@@ -89,10 +90,8 @@ def read(path: FilePath, format: str | None = None, *, size: Size | None = None)
     if FORMATS[name].sized:
         return reader(place, size=size)
     cameras = reader(place)
-    for camera in cameras.values() if size is not None else ():
-        if size != (camera.W, camera.H):
-            words = f"`size`: expected the file's own {camera.W} x {camera.H}, got {size}"
-            raise ValueError(f"{words}; read it without a size, then use `resized`")
+    for camera in cameras.values():
+        Fields({"W": camera.W, "H": camera.H}, repr(str(place))).size("W", "H", size)
     return cameras
 
 
@@ -173,8 +172,7 @@ def guess_write(path: FilePath) -> str:
     if place.suffix.lower() != ".json":
         return _by_ending(place)
     stem = place.stem.lower()
-    named = (name for name, format in FORMATS.items() if format.word and format.word in stem)
-    return next(named, "json")
+    return next((format for part, format in JSON_NAMES.items() if part in stem), "json")
 
 
 def _by_ending(path: Path) -> str:

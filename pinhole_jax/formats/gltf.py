@@ -112,10 +112,8 @@ def _cameras(top: Fields, size: Size | None) -> Iterator[tuple[str, Camera]]:
         if "camera" in node:
             camera = node.chosen("camera", own)
             name = node.text("name", default=camera.text("name", default=f"camera_{k}"))
-            view, pose = (
-                _intrinsics(camera, size, by_trimesh),
-                pose_from_matrix(place, node, "matrix"),
-            )
+            view = _intrinsics(camera, size, by_trimesh)
+            pose = pose_from_matrix(place, node, "matrix")
             yield name, camera_from_pinhole(view, pose, OPENGL, node)
 
 

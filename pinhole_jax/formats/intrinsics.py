@@ -9,13 +9,14 @@ import numpy as np
 from .._camera.camera import Camera
 from .._camera.distortion import COEFFICIENTS
 from .._camera.matrices import Centres
+from .._camera.poses import rigid
 from .._files.fields import Fields, Size
 from .._files.paths import FilePath, file_and_name, read_json
 from .._numerics.arrays import Input
 from .colmap import colmap_intrinsics
 from .native import camera_from_fields
 from .opencv import known_name, opencv_intrinsics
-from .pinhole import KIND, OPENGL, Pinhole, camera_from_pinhole, chosen, pinhole
+from .pinhole import KIND, OPENGL, camera_from_pinhole, chosen, pinhole
 from .unknown import CAMCHAIN, unknown
 
 #: Names of fx, fy, cx, cy, one by one.
@@ -55,25 +56,17 @@ def read_intrinsics(
     """
     place, name = file_and_name(path)
     if isdir(place):
-        models = (place / model for model in COLMAP)
-        place = next((model for model in models if model.exists()), place / COLMAP[-1])
+        place /= next((model for model in COLMAP if (place / model).exists()), COLMAP[-1])
     if place.name in COLMAP:
-        return _unplaced(*chosen(colmap_intrinsics(place), name, repr(str(place))))
-    fields = _fields(place, name)
-    if fields.data.keys() >= OWN:
-        own = camera_from_fields(fields)
-        return _unplaced(pinhole(own, distorted=True), fields)
-    view = opencv_intrinsics(fields, size, pixel_centres)
-    if 0 < view.fx < LEAST_PX:
-        words = f"fx = {view.fx:g}: of a picture whose sides count as 1? Multiply by its size"
-        raise fields.wrong("K", "px", words)
-    return _unplaced(view, fields)
-
-
-def _unplaced(view: Pinhole, fields: Fields) -> Camera:
-    pose = np.eye(4)
-    pose[2, 3] = 1.0
-    return camera_from_pinhole(view, pose, OPENGL, fields)
+        view, fields = chosen(colmap_intrinsics(place), name, repr(str(place)))
+    elif (fields := _fields(place, name)).data.keys() >= OWN:
+        view = pinhole(camera_from_fields(fields), distorted=True)
+    else:
+        view = opencv_intrinsics(fields, size, pixel_centres)
+        if 0 < view.fx < LEAST_PX:
+            words = f"fx = {view.fx:g}: of a picture whose sides count as 1? Multiply by its size"
+            raise fields.wrong("K", "px", words)
+    return camera_from_pinhole(view, rigid(np.eye(3), np.array([0, 0, 1.0])), OPENGL, fields)
 
 
 def _fields(place: Path, camera: str | None) -> Fields:
@@ -90,8 +83,7 @@ def _fields(place: Path, camera: str | None) -> Fields:
         data = dict(Fields(chosen(chain, camera, fields.where), fields.where).data)
     for name in ("camera", "intrinsics", "projection_parameters"):
         if isinstance(part := data.get(name), Mapping) and "data" not in part:
-            data = {**data, **part}
-            del data[name]
+            data |= data.pop(name)
     if data.keys() >= OWN:
         return fields
     if isinstance(both := data.pop("resolution", None), list) and len(both) == 2:

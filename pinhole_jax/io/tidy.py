@@ -66,17 +66,19 @@ def tidy_mask(mask: Input[ArrayLike, "H W"], speck: float = SPECK) -> TidyMask:
 def drop_specks(inside: np.ndarray, speck: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Drop small islands from the pixels (H, W) of a mask and fill small holes, in place; return
     the sizes (px) of the islands that stay, of those dropped, and of the holes filled."""
-    sizes, is_small = _drop_small(inside, lambda sizes: speck * sizes.max(initial=0), False)
-    least = speck * sizes.max(initial=0)
+    sizes, is_small = _drop_small(inside, speck)
     np.logical_not(inside, out=inside)
-    holes, is_pinhole = _drop_small(inside, lambda _: least, True)
+    holes, is_pinhole = _drop_small(inside, speck, sizes.max(initial=0))
     np.logical_not(inside, out=inside)
     return sizes[~is_small], sizes[is_small], holes[is_pinhole]
 
 
-def _drop_small(inside: np.ndarray, least: Any, is_hole: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Drop parts smaller than `least` of their sizes, in place, but no hole that is open to the
-    border; return the sizes of all parts, and which were dropped."""
+def _drop_small(
+    inside: np.ndarray, speck: float, island: int | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Drop parts smaller than this share of the largest, in place; return the sizes of all parts,
+    and which were dropped. `island`: they are holes, smaller than this share of it, and those that
+    are open to the border stay."""
     from scipy import ndimage
 
     found: Any = ndimage.label(inside, CORNERS)
@@ -85,9 +87,10 @@ def _drop_small(inside: np.ndarray, least: Any, is_hole: bool) -> tuple[np.ndarr
     for part in rows(*inside.shape):  # a large mask's numbers are eight times as large as it
         here = np.bincount(labels[part].ravel())
         sizes[: len(here)] += here
-    is_small = sizes < least(sizes[1:])
-    for side in (labels[0], labels[-1], labels[:, 0], labels[:, -1]) if is_hole else ():
-        is_small[side] = False
+    is_small = sizes < speck * (sizes[1:].max(initial=0) if island is None else island)
+    if island is not None:
+        for side in (labels[0], labels[-1], labels[:, 0], labels[:, -1]):
+            is_small[side] = False
     for part in rows(*inside.shape):
         inside[part] &= ~is_small[labels[part]]
     return sizes[1:], is_small[1:]
