@@ -37,6 +37,15 @@ def test_camera_is_found_with_no_start(subdivisions):
         assert float(fit.camera.phi) == 0.6
 
 
+def test_search_knows_no_unit_and_no_vertex_without_faces():
+    """(A view point at 1 beside an eye 10^6 away ended in `misfit`, 10^10 away in an error.)"""
+    truth, size = single(anywhere(1)), np.float32(1e6)
+    large = truth.replace(e=truth.e * size, p=truth.p * size)
+    points = np.append(np.asarray(SCENE.mesh.vertices), [[1e5, 0, 0]], axis=0) * size
+    scene = single(body(points, SCENE.mesh.faces))
+    check_found(pj.fit_camera(scene, drawn(truth, SCENE), None, phi=0.6), large, 1e-3)
+
+
 def test_descents_side_by_side_are_those_one_after_another():
     """Also where one comes to see the object beside the window that it began with."""
     truth = anywhere(1).replace(phi=1.2)

@@ -39,7 +39,7 @@ from .._solver.moves import Bounds, canonical
 from .._solver.parameters import check_free, focal_is_free, in_one, labels_of, with_lens
 from .._solver.priors import Pair, Prior, bounds_of, contradictions, prior_of
 from .._solver.solver import Solver, Stop
-from .._solver.subject import Subject
+from .._solver.subject import Subject, reach_of
 from .drift import other_places
 from .edge import Edge
 from .implicit import camera_velocity, check_plain, through
@@ -473,6 +473,9 @@ def anywhere(
         phi = 0.7
     if not is_number(phi):
         raise ValueError(f"`phi`: expected an angle (rad), got {type(phi).__name__}")
-    dtype = float_dtype(*jax.tree.leaves(scene))
-    e, p, u = (np.array(x, dtype) for x in ([0, 0, 1], [0, 0, 0], [0, 1, 0]))
+    parts = jax.tree.leaves(scene)
+    # (In the scene's units: beside an eye 10^6 away a view point at 1 would be rounded off.)
+    near = reach_of(scene) if is_concrete(*parts) else 1.0
+    dtype = float_dtype(*parts)
+    e, p, u = (np.array(x, dtype) for x in ([0, 0, near], [0, 0, 0], [0, 1, 0]))
     return Camera(e, p, u, np.asarray(phi, dtype), 1.0, shape[1], shape[0], lens)

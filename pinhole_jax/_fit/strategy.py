@@ -264,7 +264,8 @@ def free_about(solver: Solver, found: Solution, places: Places) -> list[Free]:
 
 
 def _finite(found: list[Solution]) -> list[Solution]:
-    return [f for f in found if np.isfinite(f.view.squares)] or found[:1]
+    known = lambda view: np.isfinite(view.squares) and np.all(np.isfinite(view.triangle))
+    return [f for f in found if known(f.view)] or found[:1]
 
 
 def _one_of_each(found: list[Solution], freed: tuple[str, ...]) -> list[Solution]:

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
@@ -12,7 +13,7 @@ from .._camera.camera import Camera
 from .._mask.target import Window
 from .._scene.alike import Alike
 from .._scene.coarse import seen_from_afar
-from .._scene.scene import Ball, Scene, astype, ball_about, bounding_box, padded
+from .._scene.scene import Ball, Mesh, Scene, astype, ball_about, bounding_box, padded
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +34,7 @@ class Subject:
     @classmethod
     def from_scene(cls, scene: Scene, dtype: Any) -> "Subject":
         """Return a scene as a fit of a float type looks at it."""
-        box = np.asarray(bounding_box(scene), float)
+        box = _box_about(scene)
         ball = ball_about(box)
         pivot = Ball(*(jnp.asarray(np.asarray(x, dtype), dtype) for x in ball))
         corners = np.stack(np.meshgrid(*box.T, indexing="ij"), axis=-1).reshape(8, 3)
@@ -54,7 +55,7 @@ class Subject:
         mesh, centre = self.given.mesh, np.asarray(self.ball.centre, float)
         if mesh is None:
             return Alike(np.zeros((0, 3)), np.zeros((0, 3), int), centre)
-        return Alike(np.asarray(mesh.vertices), np.asarray(mesh.faces), centre)
+        return Alike(*_with_faces(mesh), centre)
 
     @cached_property
     def from_afar(self) -> Scene:
@@ -76,3 +77,25 @@ class Subject:
         at = focal * np.array([float(lens.aspect), 1]) * seen[:, :2] / depth
         shown = H * (at + np.asarray(lens.principal_point, float))
         return bool(np.all(depth > 0) and window.holds(shown, W, H))
+
+
+def _with_faces(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
+    """The vertices that faces have, and the faces by these."""
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    used = np.zeros(len(vertices), bool)
+    used[faces] = True
+    return (vertices, faces) if np.all(used) else (vertices[used], (np.cumsum(used) - 1)[faces])
+
+
+def _box_about(scene: Scene) -> np.ndarray:
+    """The least and largest coordinates (2, 3) of what a scene shows."""
+    if scene.mesh is not None:  # (A vertex of no face may be anywhere.)
+        scene = eqx.tree_at(lambda s: s.mesh.vertices, scene, _with_faces(scene.mesh)[0])
+    return np.asarray(bounding_box(scene), float)
+
+
+def reach_of(scene: Scene) -> float:
+    """About how large a scene is: a power of two, by which nothing is rounded, whose square is a
+    number in float32, too."""
+    radius = float(ball_about(_box_about(scene)).radius)
+    return 2.0 ** round(np.log2(np.clip(radius, 1e-12, 1e12)))
