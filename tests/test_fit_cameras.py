@@ -43,6 +43,16 @@ def test_wrong_mask_among_exact_ones_leaves_no_trace(masks, wrong):
     assert abs(float(fits[0].camera.phi) - 0.6) < 4 * fits[0].std[-1]
 
 
+def test_view_with_another_lens_widens_what_all_share(masks):
+    """(Before: all `converged` without a word, a zoomed one as far off as 33 sigma.)"""
+    zoomed = TRUTHS[2].replace(phi=0.84)
+    seen = [mask > 0.5 for mask in (*masks[:2], drawn(zoomed, SCENE))]
+    *others, odd = pj.fit_cameras(SCENE, seen, STARTS)
+    assert all("what cameras share" in fit.weak[-1] for fit in (*others, odd))
+    assert odd.status == "misfit"
+    assert abs(float(odd.camera.phi) - 0.6) < 4 * odd.std[-1]
+
+
 def test_shared_intrinsics_from_exact_masks(masks):
     fits = pj.fit_cameras(SCENE, masks, STARTS)
     assert [(f.status, f.modes, f.names[-1]) for f in fits] == [("converged", (), "phi")] * 3

@@ -98,7 +98,7 @@ class Agreement(Minimum):
         number alone says so). Of 2 to 6 numbers, widened by what is beyond 1 alone 91 to 94 % would
         hold, by Birge's factor 83 to 92 % (`experiments/intervals.py`).
         """
-        if self.excess <= 1 or not self.problem.widens:
+        if self.excess <= 1:
             return 1.0
         return (self.excess * width_by_few(1.0 * self.freedom)) ** 2
 
@@ -267,6 +267,7 @@ def weigh_priors(problem: JointProblem, found: Descent) -> JointProblem:
     spreads = []
     for design in DESIGNS:
         here = _agreement(replace(problem, design=design), found, problem.weights)
+        here = replace(here, excess=1.0)  # (A prior that masks contradict drives views apart.)
         spread = sum(
             float(np.trace(p.rows @ here.by_masks.covariance(p.columns) @ p.rows.T))
             for p in here.prior_rows

@@ -56,7 +56,6 @@ def joint_problem(
     max_steps: int = 64,
     search: bool = False,
     as_given: bool = False,
-    widens: bool = True,
 ) -> JointProblem:
     """The problem that these arguments of `fit_joint` make; masks are levelled unless taken
     `as_given`. With `search`, cameras are nowhere yet.
@@ -99,7 +98,6 @@ def joint_problem(
         max_steps=max_steps,
         weights=np.ones(len(eyes)),
         zeros=zeros_of(joint_zeros, views),
-        widens=widens,
     )
     priors = priors_of(prior, problem)
     scales |= {part.name: mean for part, _, mean, _ in priors if part.kind == SCALE}

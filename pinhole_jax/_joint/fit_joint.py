@@ -186,9 +186,8 @@ def fit_cameras(
         bounds=bounds,
         max_steps=max_steps,
         progress=progress,
-        widens=False,
     )
-    return tuple(fit.cameras.values())
+    return tuple(f._replace(weak=(*f.weak, *fit.weak)) for f in fit.cameras.values())
 
 
 def _joint_fit(

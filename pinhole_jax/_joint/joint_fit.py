@@ -41,6 +41,7 @@ from .views import MOTIONS, POSE, SCALE, ZERO, joint_units
 LOST, MOST_LOST = 0.25, 1 / 3
 #: A view with less weight than this decides nothing: it is 4.4 times as far off as the middle one.
 COUNTS = 0.1
+UNLIKE = "check what cameras share, transforms, the mesh and the mask"
 
 
 class ViewFit(NamedTuple):
@@ -319,6 +320,8 @@ def _status(
         return "misfit", (f"{far:.0%} of the outline is far from {edges}: {WRONG}",)
     if found.contradictions:
         return "misfit", found.contradictions
+    if len(numbers) == 1 and len(views) > 1 and (sigma := views[k].sigma) > RULES.times:
+        return "misfit", (f"its view differs from the others by {sigma:.1f} sigma: {UNLIKE}",)
     if np.any(np.isinf(fit.std)):
         return "rank_deficient", ("the masks leave a direction open (infinite standard errors)",)
     open_turn = uncertain_rotation(fit.covariance, fit.names, fit.camera)
@@ -366,7 +369,7 @@ def _disagreement(found: Agreement, views: tuple[ViewFit, ...]) -> list[str]:
     if sigma_of(found.excess**2 * found.freedom, found.freedom) > RULES.times:
         apart.append(
             f"views differ {found.excess:.1f} times as much as their masks' errors explain: check"
-            " joint angles, meshes, transforms and the lens"
+            " joint angles, meshes, transforms, the lens, and what cameras share"
         )
     for k, view in enumerate(views):
         if len(views) > 2 and view.off > OFF:

@@ -120,7 +120,6 @@ class JointProblem:
     - `unknowns`, `eyes` (the views), `priors`, and those of `zeros` of joints, sought at last.
     - `start`: where unknowns begin; `cameras`: those that were given.
     - `outlier_px`, `max_steps`: as in `fit_joint`.
-    - `widens`: whether error bars grow where views differ by more than their masks err.
     - `design`: how many times as large the masks' variance is as of independent residuals.
     - `depth`: the level, counted from the finest (1); `weights` (V,) of the views.
     """
@@ -134,7 +133,6 @@ class JointProblem:
     weights: np.ndarray
     zeros: Sequence[JointPrior] = ()
     priors: Sequence[JointPrior] = ()
-    widens: bool = True
     design: float = 1.0
     depth: int = 1
     #: What views are fitted to.
