@@ -443,7 +443,7 @@ def _contradictions(mode: Candidate) -> tuple[str, ...]:
         known = mode.account.errors.covariance
         off = off + rows @ mode.account.errors.move
     else:  # (as residuals, a prior counts as the mask does)
-        rows, triangle = np.asarray(view.known, float), np.asarray(view.triangle, float)
+        rows, triangle = view.known, view.triangle
         known = np.linalg.pinv(triangle.T @ triangle)
     share = np.einsum("ki,ij,kj->k", rows, known, rows)
     return *alike, *contradictions(labels_of(solver.freed), off, share, "the mask says")

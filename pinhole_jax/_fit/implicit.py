@@ -1,10 +1,9 @@
 """A fit's answer as a function of the fit's inputs: the implicit function theorem.
 
-The fit ends where the sum of all views' J^T w (image - target) is 0 (J: the image's derivative by
-the unknowns), so a change of scene, target or weight moves it by minus the inverse of that sum's
-derivative, times its change. That takes the image's second derivatives, which coverage does not
-have as a program; where the residual is not 0 they are central differences of its exact first
-derivatives. A single camera is a problem of one view.
+The fit ends where the gradient of all views' squares is 0, so a change of scene, target or weight
+moves it by minus the inverse of that gradient's derivative, times its change. These are second
+derivatives, which coverage does not have as a program: they are central differences of exact first
+ones. A single camera is a problem of one view; of points, the image is where they project.
 """
 
 from collections.abc import Callable, Sequence
@@ -29,9 +28,6 @@ from .._solver.parameters import PARAMETERS, components
 #: 1e-4 where masks are exact, to 1e-2 and 3e-2 of noisy and hard ones, whose second derivatives
 #: jump: of two noisy masks to 1e-6 with up to 3e-4, to 3e-3 with 1e-3.)
 STEP_PX = {np.dtype(np.float32): 0.03, np.dtype(np.float64): 1e-4}
-#: Below this root mean square over the image the residual's part of the second derivative is left
-#: out: it is as small as that.
-NO_RESIDUAL = 1e-5
 #: An unknown that shows less than this share of the best-seen one has that one's unit times this.
 LEAST_SHOWN = 1e-3
 #: Unknowns beside a camera's own parameters: an object's pose and its size.
@@ -90,15 +86,17 @@ def check_plain(**given: Any) -> None:
 
 class Slope(NamedTuple):
     """Half the gradient of a view's squares by the unknowns `columns` (p,): its derivative by these
-    (p, p), and its rate of change with the inputs (p,)."""
+    (p, p), and its rate of change with the inputs (p,). A vantage has the unknowns."""
 
+    vantage: "Vantage"
     columns: np.ndarray
     bend: np.ndarray
     pull: Array
 
 
-def steps_of(slopes: Sequence[Slope]) -> list[Array]:
-    """The rates of change of each view's unknowns, so that the whole gradient stays 0.
+def velocities_of(slopes: Sequence[Slope]) -> list[tuple[Camera, Array, Array]]:
+    """The rates of change of each view's camera, object and size, so that the whole gradient stays
+    0.
 
     What one view alone depends on is eliminated, so the cost is linear in the views.
     """
@@ -112,8 +110,8 @@ def steps_of(slopes: Sequence[Slope]) -> list[Array]:
     pull = jnp.zeros(len(shared), slopes[0].pull.dtype)
     for slope in slopes:
         units, own = unit[slope.columns], count[slope.columns] == 1
-        bend, alone = units[:, None] * slope.bend * units, np.zeros(slope.bend.shape)
-        alone[np.ix_(own, own)] = _inverse(bend[np.ix_(own, own)])
+        bend = units[:, None] * slope.bend * units
+        alone = _inverse(bend * np.outer(own, own))
         follows = (slope.columns[:, None] == shared).astype(float)
         follows -= alone @ bend @ follows
         left += follows.T @ bend @ follows
@@ -125,7 +123,7 @@ def steps_of(slopes: Sequence[Slope]) -> list[Array]:
         pull = pull + follows.T @ slope.pull
     step = -jnp.asarray(_inverse(left), pull.dtype) @ pull
     return [
-        follows @ step - alone @ slope.pull
+        _velocity(slope.vantage, follows @ step - alone @ slope.pull)
         for (follows, alone), slope in zip(parts, slopes, strict=True)
     ]
 
@@ -143,6 +141,7 @@ class Vantage(eqx.Module):
     - `kinds`: what moves, in its own units: motions of the camera, `OBJECT`, `SCALE`, and
       parameters of the lens.
     - `place`: the object's pose in the world (None: the world's); `scale`: its size.
+    - `drawn`: draws the image that is compared with a target, by a camera of a scene.
     """
 
     camera: Camera
@@ -151,6 +150,7 @@ class Vantage(eqx.Module):
     kinds: tuple[str, ...] = eqx.field(static=True)
     place: Pose | None = None
     scale: Float[np.ndarray, ""] = eqx.field(default_factory=lambda: np.ones(()))
+    drawn: Callable[[Camera, Any], Array] = eqx.field(static=True, default=silhouette)
 
     @property
     def still(self) -> Float[np.ndarray, "n"]:
@@ -200,8 +200,9 @@ def _transformed(camera: Camera, by: Array, scale: Any = 1.0) -> Camera:
 
 
 class ViewInputs(NamedTuple):
-    """What a view is fitted to: a scene, a mask and its weights, the pose of the camera's carrier,
-    and the scene's on the object (None: none). Or how fast these change (None: not)."""
+    """What a view is fitted to: a scene, a target (of coverage) and its weights, the pose of the
+    camera's carrier, and the scene's on the object (None: none). Or how fast these change (None:
+    not)."""
 
     scene: Any
     target: Any
@@ -209,19 +210,22 @@ class ViewInputs(NamedTuple):
     mount: Any = None
     placed: Any = None
 
+    def checked(self, film: Camera) -> "ViewInputs":
+        """The inputs, the mask that is the target as coverage."""
+        return self._replace(target=as_coverage(check_image("target", self.target, film.W, film.H)))
+
 
 def _image(y: Array, vantage: Vantage, given: ViewInputs) -> Array:
     camera, place, scale = vantage.moved(y)
     mount, placed = (_as_pose(x, y) for x in (given.mount, given.placed))
     by = jnp.linalg.inv(place @ placed) @ mount
-    return silhouette(_transformed(camera, by, scale), given.scene)
+    return vantage.drawn(_transformed(camera, by, scale), given.scene)
 
 
-@eqx.filter_jit
-def _image_and_jacobian(y: Any, vantage: Vantage, given: ViewInputs) -> tuple[Array, Array]:
-    both = lambda y: (lambda x: (x, x))(_image(y, vantage, given))
-    jacobian, value = jax.jacfwd(both, has_aux=True)(y)
-    return value, jacobian
+def _half_squares(y: Array, vantage: Vantage, share: Any, given: ViewInputs) -> Array:
+    to = lambda x: jnp.asarray(x, y.dtype)
+    off = _image(y, vantage, given) - to(given.target)
+    return jnp.sum(to(share) * to(given.weight) * off * off) / 2
 
 
 def slope_of(
@@ -233,75 +237,57 @@ def slope_of(
 ) -> Slope:
     """The slope of a view whose pixels `counted` so much (H, W) where its fit ended, while what it
     was given changes."""
-    film, dtype, weight = vantage.film, vantage.still.dtype, counted.astype(vantage.still.dtype)
-    seen = given._replace(target=None, weight=None)
-    image, jacobian = map(np.asarray, _image_and_jacobian(vantage.still, vantage, seen))
-    target = as_coverage(check_image("target", given.target, film.W, film.H))
-    difference = image - target.astype(dtype)
-    is_met = float(np.mean(weight * difference * difference)) ** 0.5 <= NO_RESIDUAL
-
+    asked = np.ones_like(counted) if given.weight is None else np.asarray(given.weight)
+    share, given = counted / np.where(asked > 0, asked, np.inf), given._replace(weight=asked)
     velocity = eqx.filter(velocity, eqx.is_inexact_array)
-    moves = velocity._replace(target=None, weight=None)
-    is_moving = jax.tree.map(lambda x: x is not None, moves, is_leaf=lambda x: x is None)
-    moving, fixed = eqx.partition(seen, is_moving)
-    data = jacobian, weight, difference
-    bend, rates = _derivatives(_looks(jacobian, is_met), vantage, moving, fixed, *data)
-    by_image = np.moveaxis(jacobian, -1, 0)
-    if velocity.target is not None:
-        rates = rates._replace(target=-weight * by_image)
-    if velocity.weight is not None:
-        asked = np.asarray(given.weight)
-        share = np.where(asked > 0, weight / np.where(asked > 0, asked, 1), 0)
-        rates = rates._replace(weight=(share * difference).astype(dtype) * by_image)
-    return Slope(columns, np.asarray(bend, float), _along(rates, velocity, vantage.still))
-
-
-def _looks(jacobian: np.ndarray, is_met: bool) -> tuple[np.ndarray, ...]:
-    """The looks that make each row of second derivatives: its own column of the jacobian, and
-    unless the target is met the difference of the residuals' two, a step ahead and behind."""
-    n, dtype = jacobian.shape[-1], jacobian.dtype
-    touched = max(int(np.sum(np.any(jacobian != 0, axis=-1))), 1)
-    size = np.sqrt(np.sum(jacobian.astype(float) ** 2, axis=(0, 1)) / touched)
-    step = STEP_PX[dtype] / np.maximum(size, max(LEAST_SHOWN * size.max(), 1e-30))
-    column, none = np.eye(n), np.zeros((n, n))
-    at = np.stack([none, np.diag(step), -np.diag(step)], axis=1)
-    looks = at, np.stack([column, none, none], axis=1), np.outer(0.5 / step, [0, 1, -1])
-    return tuple(x[:, : 1 if is_met else 3].astype(dtype) for x in looks)
+    is_moving = jax.tree.map(lambda x: x is not None, velocity, is_leaf=lambda x: x is None)
+    view = _steps(vantage, given), vantage, share
+    bend, pull = _bend(*view, given), _pull(*view, velocity, *eqx.partition(given, is_moving))
+    return Slope(vantage, columns, np.asarray(bend, float), pull)
 
 
 @eqx.filter_jit
-def _derivatives(
-    looks: Any,
+def _steps(vantage: Vantage, given: ViewInputs) -> Array:
+    """The size (n,) of each move that shows as a step of central differences has to."""
+    still = jnp.asarray(vantage.still)
+    jacobian = jax.jacfwd(lambda y: _image(y, vantage, given))(still)
+    touched = jnp.maximum(jnp.sum(jnp.any(jacobian != 0, axis=-1)), 1).astype(still.dtype)
+    size = jnp.sqrt(jnp.sum(jacobian**2, axis=(0, 1)) / touched)
+    return STEP_PX[still.dtype] / jnp.maximum(size, jnp.maximum(LEAST_SHOWN * size.max(), 1e-30))
+
+
+def _by_moves(function: Callable[[Array], Array], steps: Array) -> Array:
+    """The derivative of a function by each move, by central differences."""
+    across = lambda y, step: (function(y) - function(-y)) / (2 * step)
+    return jax.lax.map(lambda pair: across(*pair), (jnp.diag(steps), steps))
+
+
+@eqx.filter_jit
+def _bend(steps: Array, vantage: Vantage, share: Any, given: ViewInputs) -> Array:
+    """The gradient's derivative (n, n) by moves."""
+    return _by_moves(jax.grad(lambda y: _half_squares(y, vantage, share, given)), steps)
+
+
+@eqx.filter_jit
+def _pull(
+    steps: Array,
     vantage: Vantage,
+    share: Any,
+    velocity: ViewInputs,
     moving: ViewInputs,
     fixed: ViewInputs,
-    jacobian: Any,
-    weight: Any,
-    difference: Any,
-) -> tuple[Array, ViewInputs]:
-    """Sums over each row's looks (n, k): the derivatives, by moves and by what is moving, of the
-    image's product with columns of the jacobian, and with what is left, both weighed."""
+) -> Array:
+    """The gradient's rate of change (n,) as what is moving has a velocity."""
 
-    def derivative(look: Any) -> tuple[Array, ViewInputs]:
-        at, along, of_residual = look
-        image = lambda y, moving: _image(y, vantage, eqx.combine(moving, fixed))
-        held = weight * (jacobian @ along + of_residual * difference)
-        return jax.vjp(image, at, moving)[1](held)
+    def rate(y: Array) -> Array:
+        squares = lambda moving: _half_squares(y, vantage, share, eqx.combine(moving, fixed))
+        return jax.jvp(squares, (moving,), (velocity,))[1]
 
-    summed = lambda row: jax.tree.map(lambda x: x.sum(axis=0), jax.lax.map(derivative, row))
-    return jax.lax.map(summed, looks)
+    return _by_moves(rate, steps)
 
 
 @eqx.filter_jit
-def _along(derivative: ViewInputs, velocity: ViewInputs, still: Any) -> Array:
-    """A derivative (n, ...) by inputs, times their velocity: moves of a type."""
-    pairs = zip(jax.tree.leaves(derivative), jax.tree.leaves(velocity), strict=True)
-    moves = (jnp.tensordot(by, v.astype(by.dtype), v.ndim).astype(still.dtype) for by, v in pairs)
-    return sum(moves, jnp.asarray(still))
-
-
-@eqx.filter_jit
-def velocity_of(vantage: Vantage, step: Array) -> tuple[Camera, Array, Array]:
+def _velocity(vantage: Vantage, step: Array) -> tuple[Camera, Array, Array]:
     """The rates of change of a vantage's camera, object and size, with unknowns that move so."""
     return jax.jvp(vantage.moved, (jnp.zeros_like(step),), (step,))[1]
 
@@ -316,6 +302,6 @@ def camera_velocity(
     """The rate of change of a camera that was fitted to scene, target and weight, where pixels of
     these weights (H, W) decided."""
     vantage = Vantage(canonical(camera), camera, pose_of(camera), freed)
-    columns = np.arange(len(vantage.still))
-    slope = slope_of(vantage, ViewInputs(*inputs), weight, ViewInputs(*velocity), columns)
-    return velocity_of(vantage, *steps_of([slope]))[0]
+    given, columns = ViewInputs(*inputs).checked(camera), np.arange(len(vantage.still))
+    slope = slope_of(vantage, given, weight, ViewInputs(*velocity), columns)
+    return velocities_of([slope])[0][0]

@@ -82,7 +82,7 @@ def observability(
     mask = Mask(np.full(weights.shape, 0.25), weights, camera)  # (any mask)
     solver = Solver.on(Subject.from_scene(scene, camera.e.dtype), mask, freed, 1)
     view, blind = solver.look(canonical(camera)), BLIND[solver.dtype]
-    triangle = np.asarray(view.triangle, float)
+    triangle = view.triangle
     by_px = triangle / UNIT_PX, to_units(view.to_reported, freed, camera) / UNIT_PX
     words = partial(moves_in_words, components(freed), axes_of(camera))
     _, weak = weak_directions(triangle, words, blind)

@@ -148,7 +148,7 @@ def better(solver: Solver, view: View, best: View) -> bool:
 
 def _nearly_free(solver: Solver, found: Solution, share: float | None = None) -> list[_Direction]:
     """The turns and shifts that show less than a share of the best-seen move, the least last."""
-    triangle = np.asarray(found.view.triangle, float)
+    triangle = found.view.triangle
     if not np.all(np.isfinite(triangle)):
         return []
     weak = weak_moves(triangle, components(solver.freed), share)
@@ -174,7 +174,7 @@ def _round(solver: Solver, found: Solution) -> list[_Direction]:
     turns = np.array([name.startswith("turn") for name in parts])
     if np.sum(turns) < 3:
         return []
-    result, triangle = [], np.asarray(found.view.triangle, float)
+    result, triangle = [], found.view.triangle
     if not np.all(np.isfinite(triangle)):
         return []
     deviations = np.linalg.pinv(triangle).T
@@ -197,7 +197,7 @@ def _doubtful(solver: Solver, found: Solution) -> list[_Direction]:
 
 def _radian(solver: Solver, found: Solution) -> float:
     """Return the size of a move, in the solver's units, that is as large as a turn by one rad."""
-    parts, scale = components(solver.freed), np.asarray(found.view.scale, float)
+    parts, scale = components(solver.freed), found.view.scale
     for name, size in zip(parts, scale, strict=True):
         if name.startswith("turn"):
             return 1 / size
@@ -212,7 +212,7 @@ def shelf(solver: Solver, found: Solution) -> tuple[np.ndarray, float] | None:
     """The move (n,) that shows least, and the share left of the squares that the Jacobian foretells
     four standard errors along it: on the flatter side, with all else fitted. None where no turn is
     free, or errors reach half round."""
-    triangle = np.asarray(found.view.triangle, float)
+    triangle = found.view.triangle
     turns = any(name.startswith(("turn", "spin")) for name in components(solver.freed))
     if not (turns and np.all(np.isfinite(triangle))):
         return None
@@ -226,10 +226,10 @@ def shelf(solver: Solver, found: Solution) -> tuple[np.ndarray, float] | None:
     def left(stride: float) -> float:
         """The squares more than those of the camera found."""
         view = solver.look(solver.step(found.camera, solver.finest, stride * move), solver.finest)
-        rows, along = np.asarray(view.triangle, float) @ others.T, np.asarray(view.along, float)
-        if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(along))):
+        rows = view.triangle @ others.T
+        if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(view.along))):
             return np.inf
-        fitted = np.linalg.qr(rows)[0].T @ along
+        fitted = np.linalg.qr(rows)[0].T @ view.along
         return view.squares - float(fitted @ fitted) - found.view.squares
 
     return move, float(np.clip(min(left(far), left(-far)) / foretold, RULES.times**-2, 1.0))

@@ -291,7 +291,6 @@ def report(
     at, view, steps, way, _ = found
     fitted, dtype = on_film(at, camera), np.dtype(camera.e.dtype)
     triangle, ended = without_ended(view.triangle, at, freed, context.bounds)
-    along = np.asarray(view.along, float)
     sums: Any = jax.tree.map(float, view.sums)
     whole: Any = jax.tree.map(float, over_all)
     labels, to_reported = labels_of(freed), to_units(view.to_reported, freed, camera)
@@ -301,7 +300,7 @@ def report(
         return Fit(camera=fitted, status="non_finite", rms=np.nan, iou=np.nan, **known)
     rest = found.ended
     if context.covariance is None:
-        rest = at_rest(triangle, along, sums.squares, sums.touched, dtype, found.ended)
+        rest = at_rest(triangle, view.along, sums.squares, sums.touched, dtype, found.ended)
     triangle = without_free(triangle, context.free)
     noise = max(sums.touched_squares / max(sums.touched - n, 1), context.kind.least)
     both = gradients(view, noise, context)
@@ -383,7 +382,7 @@ def well_known(triangle: np.ndarray, gradient: np.ndarray) -> list[np.ndarray]:
 
 def gradients(view: View, variance: float, context: Context) -> tuple[np.ndarray, np.ndarray]:
     """Return the covariance (n, n) of J^T r if residuals are independent, and as the mask errs."""
-    triangle = np.asarray(view.triangle, float)
+    triangle = view.triangle
     independent, errors = variance * triangle.T @ triangle, context.errors
     # What is not of this mask's pixels, as a prior, keeps its variance.
     beside = variance * view.known.T @ view.known

@@ -281,7 +281,7 @@ def _same(a: Solution, b: Solution, freed: tuple[str, ...]) -> bool:
     """True if two cameras look the same way, but for a turn that changes no pixel of a's."""
     axes_a, axes_b = (axes_of(f.camera) for f in (a, b))
     turn: Any = axes_a.T @ axes_b - np.eye(3)
-    free = free_turns(np.asarray(a.view.triangle, float), components(freed), axes_a)
+    free = free_turns(a.view.triangle, components(freed), axes_a)
     if len(free) > 1:
         return True
     return bool(np.linalg.norm(turn @ free[0] if len(free) else turn) < RULES.same)

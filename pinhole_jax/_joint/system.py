@@ -352,13 +352,10 @@ class JointProblem:
 
     def look(self, state: State) -> list[ViewRows]:
         """All views at a state."""
-        sights = [(e.standpoint(state), e.level(self.depth)) for e in self.eyes]
-        look = lambda sight: sight[0].solver.look(sight[0].camera, sight[1])
-        program = lambda sight: sight[0].solver.program(sight[0].camera, sight[1])
-        views = [*map(_in_float64, in_threads(look, sights, program))]
+        look = lambda eye: eye.look(state, self.depth)
+        views = in_threads(look, self.eyes, lambda eye: eye.program(state, self.depth))
         each = enumerate(zip(self.eyes, views, strict=True))
-        moves = (eye.moves(state, view, self.unknowns_of(k)) for k, (eye, view) in each)
-        return [*map(ViewRows, views, moves)]
+        return [ViewRows(v, eye.moves(state, v, self.unknowns_of(k))) for k, (eye, v) in each]
 
     def noise(self, here: Descent) -> float:
         """The error of a mask's residual, as priors are weighed against it: where neighbours err
@@ -431,11 +428,6 @@ class JointProblem:
                 for camera in cameras:
                     lenses[camera] = with_parameter(lenses[camera], kind, lens)
         return State(poses, lenses, scales, zeros)
-
-
-def _in_float64(view: View) -> View:
-    names = "triangle", "along", "to_reported", "scale"
-    return replace(view, **{name: np.asarray(getattr(view, name), float) for name in names})
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from .._camera.poses import at_pose
-from .._fit.implicit import OBJECT, Vantage, ViewInputs, slope_of, steps_of, velocity_of
+from .._fit.implicit import OBJECT, Vantage, ViewInputs, slope_of, velocities_of
 from .agreement import Agreement
 from .joint_fit import JointFit
 from .views import MOTIONS, JointView
@@ -26,29 +26,29 @@ def velocity(
 ) -> list[Any]:
     """The answer's rate of change, with the views' scenes, targets, weights, mounts and places."""
     problem, state = found.problem, found.descent.state
-    vantages, slopes = [], []
+    slopes = []
     for k, (eye, view, change) in enumerate(zip(problem.eyes, views, moving, strict=True)):
         name, pose, weights = eye.shot.camera, state.poses[eye.moving], eye.solver.weights
         weight = weights if isinstance(weights, np.ndarray) else weights.image()
         is_object = lambda u, eye=eye: u.kind in MOTIONS and u.name != eye.moving
-        vantages.append(
-            Vantage(
-                at_pose(state.lenses[name], pose @ eye.rig),
-                problem.cameras[name],
-                pose,
-                tuple(OBJECT if is_object(u) else u.kind for u in problem.unknowns_of(k)),
-                None if eye.shot.object is None else state.poses[eye.shot.object],
-                np.array(eye.scale(state)),
-            )
+        vantage = Vantage(
+            at_pose(state.lenses[name], pose @ eye.rig),
+            problem.cameras[name],
+            pose,
+            tuple(OBJECT if is_object(u) else u.kind for u in problem.unknowns_of(k)),
+            None if eye.shot.object is None else state.poses[eye.shot.object],
+            np.array(eye.scale(state)),
         )
         given, rates = (
             ViewInputs(*(getattr(x, name) for name in ViewInputs._fields)) for x in (view, change)
         )
         counted = float(problem.weights[k]) * weight
-        slopes.append(slope_of(vantages[k], given, counted, rates, problem.columns(k)))
+        slopes.append(
+            slope_of(vantage, given.checked(vantage.film), counted, rates, problem.columns(k))
+        )
     cameras, places, scales = {}, {}, {}
-    for eye, vantage, step in zip(problem.eyes, vantages, steps_of(slopes), strict=True):
-        shot, rates = eye.shot, velocity_of(vantage, step)
+    for eye, rates in zip(problem.eyes, velocities_of(slopes), strict=True):
+        shot = eye.shot
         cameras[shot.camera], places[shot.object], scales[shot.scale] = rates
     return [
         *(cameras[name] for name in fit.cameras),

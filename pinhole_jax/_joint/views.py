@@ -7,7 +7,7 @@ s times as large looks as it did from s times as near. So what one view's progra
 camera says all about the unknowns, and no other program is compiled.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -146,10 +146,15 @@ class Eye:
         """The view's own camera (canonical) in its scene's frame, as the scene is given."""
         return self.standpoint(state).camera
 
-    def look(self, state: State) -> View:
-        """The view on the finest level."""
+    def look(self, state: State, depth: int = 1) -> View:
+        """The view on the level this far from the last, or on the first."""
         solver, camera = self.standpoint(state)
-        return solver.look(camera, solver.finest)
+        return solver.look(camera, self.level(depth))
+
+    def program(self, state: State, depth: int) -> Hashable:
+        """A key of the compiled program that looks."""
+        solver, camera = self.standpoint(state)
+        return solver.program(camera, self.level(depth))
 
     def joints(self, state: State) -> dict[str, float]:
         """Units of the joints whose zeros are sought: they move an outline as moves do, about."""

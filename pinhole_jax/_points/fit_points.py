@@ -11,9 +11,10 @@ import numpy as np
 from .._camera.axes import axes_of
 from .._camera.camera import Camera, check_camera
 from .._camera.poses import pose_of
+from .._camera.rays import project
 from .._files.progress import shown
 from .._fit.fit_camera import check_px
-from .._fit.implicit import Slope, Vantage, check_plain, steps_of, through, velocity_of
+from .._fit.implicit import Vantage, ViewInputs, check_plain, slope_of, through, velocities_of
 from .._fit.result import (
     CameraResult,
     Progress,
@@ -42,7 +43,7 @@ from .._solver.priors import Pair
 from .._solver.uncertainty import BLIND, covariance, moves_in_words, weak_directions
 from .descent import PointDescent, begin, descend
 from .noise import FEW, Noise, beyond_noise
-from .reprojection import Matches, PointArrays, PointEye, PointProblem, bend_and_pull
+from .reprojection import Matches, PointArrays, PointEye, PointProblem
 from .smooth import alike
 
 #: What several views share by default: the intrinsics of one physical camera.
@@ -203,22 +204,20 @@ def _velocity(
     fits: tuple[PointFit, ...], found: PointDescent, inputs: Any, velocity: Any
 ) -> tuple[Camera, ...]:
     """The cameras' rates of change with the inputs."""
-    given, dtype = _checked(*inputs), fits[0].camera.e.dtype
+    problem, given, dtype, slopes = found.problem, _checked(*inputs), fits[0].camera.e.dtype, []
     rates = [
         jnp.broadcast_to(jnp.asarray(0.0 if change is None else change, dtype), array.shape)
         for change, array in zip(velocity, given, strict=True)
     ]
-    rates[-1] /= _usual_weight(given)
-    problem, slopes, vantages = found.problem, [], []
+    of_view = lambda points, seen_at, weight: ViewInputs(points, seen_at, weight[:, None])
     for k, (eye, matches) in enumerate(zip(problem.eyes, problem.matches, strict=True)):
-        at, film = eye.canonical(found.end.state), fits[k].camera
-        vantages.append(Vantage(at, film, pose_of(at), matches.freed))
-        each = zip(matches.given, rates, strict=True)
-        changes = (jnp.zeros_like(x).at[: len(rate[k])].set(rate[k]) for x, rate in each)
-        bend, pull = bend_and_pull(vantages[k], matches.given, PointArrays(*changes))
-        slopes.append(Slope(problem.columns(k), np.asarray(bend, float), pull))
-    steps = steps_of(slopes)
-    return tuple(velocity_of(*pair)[0] for pair in zip(vantages, steps, strict=True))
+        at = eye.canonical(found.end.state)
+        vantage = Vantage(at, fits[k].camera, pose_of(at), matches.freed, drawn=project)
+        points, seen_at, counted = (x[: given.weight.shape[1]] for x in matches.given)
+        asked = of_view(points, seen_at, given.weight[k].astype(dtype))
+        changes = of_view(*(rate[k] for rate in rates))
+        slopes.append(slope_of(vantage, asked, counted[:, None], changes, problem.columns(k)))
+    return tuple(camera for camera, *_ in velocities_of(slopes))
 
 
 def _problem(

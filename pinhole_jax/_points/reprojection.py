@@ -17,7 +17,6 @@ from jaxtyping import Array, Float
 from .._camera.camera import Camera, film_map, lens_holds
 from .._camera.film import FilmPart
 from .._camera.rays import project
-from .._fit.implicit import Vantage
 from .._joint.system import Descent, JointProblem
 from .._joint.views import Eye, Standpoint, State, Unknown, indices
 from .._numerics.pointwise import padded, room
@@ -45,8 +44,8 @@ REPEATED = 1e-9
 
 
 class PointArrays(NamedTuple):
-    """Points in the world (N, 3), where they are seen (N, 2) in px, and how much each counts (N,);
-    or velocities of these."""
+    """Points in the world (N, 3), where they are seen (N, 2) in px, and how much each counts
+    (N,)."""
 
     points: Any
     seen_at: Any
@@ -128,7 +127,7 @@ class Matches(eqx.Module):
     def look(self, camera: Camera, level: int = 0) -> View:
         """The view at a camera (canonical)."""
         del level
-        found: Any = jax.tree.map(np.asarray, self._look(camera)[:5])
+        found = (np.asarray(x, float) for x in self._look(camera)[:5])
         triangle, along, to_reported, scale, squares = found
         nothing: Any = np.zeros(())
         sums, known = Sums(squares, *[nothing] * 6), np.zeros((0, len(scale)))
@@ -284,17 +283,3 @@ def rms_limit(matches: Matches, known: Noise | None, reach: float | None) -> flo
     spread = float(np.sqrt(np.sum(np.var(seen_at, axis=0))))
     diagonal = float(np.hypot(matches.aspect, 1))
     return max(LEAST_PX, float(matches.H) * min(SPREAD * spread, DIAGONAL * diagonal))
-
-
-@eqx.filter_jit
-def bend_and_pull(vantage: Vantage, given: PointArrays, rates: PointArrays) -> tuple[Array, Array]:
-    """Half the gradient of the squares by moves: its derivative by these (n, n), and its rate of
-    change (n,) with what is given."""
-
-    def half_squares(y: Array, given: PointArrays) -> Array:
-        off = given.off(vantage.moved(y)[0])
-        return jnp.sum(given.weight[:, None] * off * off) / 2
-
-    by_moves, still = jax.grad(half_squares), jnp.asarray(vantage.still)
-    pull = jax.jvp(lambda given: by_moves(still, given), (given,), (rates,))[1]
-    return jax.jacfwd(by_moves)(still, given), pull

@@ -7,7 +7,6 @@ lose half of the digits).
 """
 
 from collections.abc import Callable
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -51,28 +50,25 @@ def blocks_of(views: list[list[int]], sizes: list[int]) -> np.ndarray:
     """Return the block that each unknown (of these `sizes`) is eliminated with, given those that
     each view depends on; -1 for what stays: what most views depend on, as many as make the least
     work."""
-    size = np.array(sizes)
-    seen_by = np.bincount([j for some in views for j in some], minlength=len(size))
-    best, least = np.full(len(size), -1), np.inf
-    for count in np.unique(seen_by):
-        held = seen_by >= count
-        block = _together([[j for j in some if not held[j]] for some in views], len(size))
-        within = np.bincount(block, np.where(held, 0, size))
-        rest = float(np.sum(size[held]))
-        work = sum((np.max(within[block[some]]) + rest) ** 2 + rest**3 for some in views)
-        if work < least:
-            best, least = np.where(held, -1, block), work
-    return best
-
-
-def _together(given: list[list[int]], size: int) -> np.ndarray:
-    """Return for each number (size,) which block it is of, given lists of some that are of one."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    pairs = np.array([pair for some in given for pair in pairwise(some)], int).reshape(-1, 2)
-    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), (size, size))
-    return connected_components(graph, directed=False)[1]
+    size, number = np.array(sizes), len(sizes)
+    links = np.array([(j, number + k) for k, some in enumerate(views) for j in some])
+    seen_by = np.bincount(links[:, 0], minlength=number)
+    best, least = np.full(number, -1), np.inf
+    for count in np.unique(seen_by):
+        held = seen_by >= count
+        # A block is views that unknowns link, and these.
+        free = links[~held[links[:, 0]]]
+        graph = coo_array((np.ones(len(free)), free.T), 2 * (number + len(views),))
+        block = connected_components(graph, directed=False)[1]
+        within = np.bincount(block[:number], np.where(held, 0, size), len(block))
+        rest = float(np.sum(size[held]))
+        work = float(np.sum((within[block[number:]] + rest) ** 2 + rest**3))
+        if work < least:
+            best, least = np.where(held, -1, block[:number]), work
+    return best
 
 
 class LinearSolution(NamedTuple):

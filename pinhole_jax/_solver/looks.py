@@ -264,7 +264,8 @@ class Origin:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What a fit keeps of a look (see `Look`): R of J = QR, Q^T r, sums, and where it was taken.
+    """What a fit keeps of a look (see `Look`), in float64: R of J = QR, Q^T r, sums, and where it
+    was taken.
 
     J is the residuals' derivative by moves, in the solver's units (`UNIT_PX` pixels): `scale`; then
     by the scene's motions, if any.
@@ -282,7 +283,8 @@ class View:
     @classmethod
     def from_look(cls, look: Look, origin: Origin) -> "View":
         """The view of a look."""
-        rows, sums, to_reported, scale, known, prior = jax.device_get(look[1:])
+        given = (np.asarray(x, float) for x in jax.device_get(look[1:]))
+        rows, sums, to_reported, scale, known, prior = given
         own = rows[:-1, :-1], rows[:-1, -1], Sums(*sums)
         return cls(*own, to_reported, scale, known, float(prior), origin)
 

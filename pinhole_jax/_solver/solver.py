@@ -201,7 +201,7 @@ class Solver:
         """How many standard deviations a prior's parameters are off (k,), and by moves (k, n)."""
         assert self.prior is not None
         off = self.prior.residuals(reported(camera, camera, self.freed))
-        to_reported = np.asarray(self.look(camera, self.finest).to_reported, float)
+        to_reported = self.look(camera, self.finest).to_reported
         return np.asarray(off, float), np.asarray(self.prior.rows, float) @ to_reported
 
     @property
