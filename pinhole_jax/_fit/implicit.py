@@ -222,10 +222,10 @@ def _image(y: Array, vantage: Vantage, given: ViewInputs) -> Array:
     return vantage.drawn(_transformed(camera, by, scale), given.scene)
 
 
-def _half_squares(y: Array, vantage: Vantage, share: Any, given: ViewInputs) -> Array:
-    to = lambda x: jnp.asarray(x, y.dtype)
-    off = _image(y, vantage, given) - to(given.target)
-    return jnp.sum(to(share) * to(given.weight) * off * off) / 2
+def _left(y: Array, vantage: Vantage, share: Any, given: ViewInputs) -> tuple[Array, Array]:
+    """What is left of the image after moves, times its weight; and the image."""
+    image, to = _image(y, vantage, given), lambda x: jnp.asarray(x, y.dtype)
+    return to(share) * to(given.weight) * (image - to(given.target)), image
 
 
 def slope_of(
@@ -236,24 +236,17 @@ def slope_of(
     columns: np.ndarray,
 ) -> Slope:
     """The slope of a view whose pixels `counted` so much (H, W) where its fit ended, while what it
-    was given changes."""
+    was given changes.
+
+    Half the gradient is J^T times what is left: that changes, and so does J, if anything is left.
+    """
     asked = np.ones_like(counted) if given.weight is None else np.asarray(given.weight)
     share, given = counted / np.where(asked > 0, asked, np.inf), given._replace(weight=asked)
     velocity = eqx.filter(velocity, eqx.is_inexact_array)
     is_moving = jax.tree.map(lambda x: x is not None, velocity, is_leaf=lambda x: x is None)
-    view = _steps(vantage, given), vantage, share
-    bend, pull = _bend(*view, given), _pull(*view, velocity, *eqx.partition(given, is_moving))
+    bend, *look = _bend(vantage, share, given)
+    pull = _pull(look, vantage, share, velocity, *eqx.partition(given, is_moving))
     return Slope(vantage, columns, np.asarray(bend, float), pull)
-
-
-@eqx.filter_jit
-def _steps(vantage: Vantage, given: ViewInputs) -> Array:
-    """The size (n,) of each move that shows as a step of central differences has to."""
-    still = jnp.asarray(vantage.still)
-    jacobian = jax.jacfwd(lambda y: _image(y, vantage, given))(still)
-    touched = jnp.maximum(jnp.sum(jnp.any(jacobian != 0, axis=-1)), 1).astype(still.dtype)
-    size = jnp.sqrt(jnp.sum(jacobian**2, axis=(0, 1)) / touched)
-    return STEP_PX[still.dtype] / jnp.maximum(size, jnp.maximum(LEAST_SHOWN * size.max(), 1e-30))
 
 
 def _by_moves(function: Callable[[Array], Array], steps: Array) -> Array:
@@ -263,14 +256,24 @@ def _by_moves(function: Callable[[Array], Array], steps: Array) -> Array:
 
 
 @eqx.filter_jit
-def _bend(steps: Array, vantage: Vantage, share: Any, given: ViewInputs) -> Array:
-    """The gradient's derivative (n, n) by moves."""
-    return _by_moves(jax.grad(lambda y: _half_squares(y, vantage, share, given)), steps)
+def _bend(vantage: Vantage, share: Any, given: ViewInputs) -> tuple[Array, ...]:
+    """The gradient's derivative (n, n) by moves; and the image's (H, W, n), what is left of it, and
+    each move's step of central differences."""
+    still = jnp.asarray(vantage.still)
+    both = lambda y: (lambda x: (x, x))(_left(y, vantage, share, given))
+    (of_left, jacobian), (left, _) = jax.jacfwd(both, has_aux=True)(still)
+    touched = jnp.maximum(jnp.sum(jnp.any(jacobian != 0, axis=-1)), 1).astype(still.dtype)
+    size = jnp.sqrt(jnp.sum(jacobian**2, axis=(0, 1)) / touched)
+    least = jnp.maximum(LEAST_SHOWN * size.max(), 1e-30)
+    steps = STEP_PX[still.dtype] / jnp.maximum(size, least)
+    product = lambda y: jnp.vdot(left, _image(y, vantage, given))
+    bend = jnp.einsum("hwi,hwj->ij", jacobian, of_left) + _by_moves(jax.grad(product), steps)
+    return bend, jacobian, left, steps
 
 
 @eqx.filter_jit
 def _pull(
-    steps: Array,
+    look: Any,
     vantage: Vantage,
     share: Any,
     velocity: ViewInputs,
@@ -278,12 +281,15 @@ def _pull(
     fixed: ViewInputs,
 ) -> Array:
     """The gradient's rate of change (n,) as what is moving has a velocity."""
+    jacobian, left, steps = look
 
-    def rate(y: Array) -> Array:
-        squares = lambda moving: _half_squares(y, vantage, share, eqx.combine(moving, fixed))
-        return jax.jvp(squares, (moving,), (velocity,))[1]
+    def rates(y: Array) -> tuple[Array, Array]:
+        seen = lambda moving: _left(y, vantage, share, eqx.combine(moving, fixed))
+        return jax.jvp(seen, (moving,), (velocity,))[1]
 
-    return _by_moves(rate, steps)
+    of_left = rates(jnp.zeros_like(steps))[0]
+    product = lambda y: jnp.vdot(left, rates(y)[1])
+    return jnp.einsum("hwi,hw->i", jacobian, of_left) + _by_moves(product, steps)
 
 
 @eqx.filter_jit
