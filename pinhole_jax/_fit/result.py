@@ -276,13 +276,6 @@ class Context(NamedTuple):
     shelf: tuple[np.ndarray, float] | None = None
     contradictions: tuple[str, ...] = ()
 
-    def share_astray(self, near: Any, whole: Any) -> float:
-        """The share of the outline that nothing explains: where nothing better is known, that which
-        is far from the mask's edge, by the sums near it and over the whole."""
-        if self.astray is not None:
-            return self.astray
-        return 1 - near.touched / whole.touched if whole.touched else 0.0
-
 
 def report(
     camera: Camera, found: Solution, over_all: Sums, freed: tuple[str, ...], context: Context
@@ -303,7 +296,7 @@ def report(
         rest = at_rest(triangle, view.along, sums.squares, sums.touched, dtype, found.ended)
     triangle = without_free(triangle, context.free)
     noise = max(sums.touched_squares / max(sums.touched - n, 1), context.kind.least)
-    both = gradients(view, noise, context)
+    both = gradients(view, noise, context.kind, context.errors)
     if context.covariance is not None:
         normal = triangle.T @ triangle
         both = both[0], normal @ context.covariance @ normal
@@ -323,7 +316,7 @@ def report(
     weak = (*map(str, free), *weak, *ended, *context.contradictions)
     open_turn = uncertain_rotation(cov, labels, at)
     nearly_free = bool(context.free or weak_moves(triangle, names_of_moves))
-    astray = context.share_astray(sums, whole)
+    astray = share_astray(sums, whole) if context.astray is None else context.astray
     explained = context.kind.explains(view.touched_misfit, nearly_free)
     weak += (*open_turn, *_disagreement(sums, astray, context.kind.exact and not explained))
     explained = astray <= RULES.astray and (explained or not context.kind.exact)
@@ -380,14 +373,17 @@ def well_known(triangle: np.ndarray, gradient: np.ndarray) -> list[np.ndarray]:
     return [*directions[spread * UNIT_PX < KNOWN_PX * values**2]]
 
 
-def gradients(view: View, variance: float, context: Context) -> tuple[np.ndarray, np.ndarray]:
-    """Return the covariance (n, n) of J^T r if residuals are independent, and as the mask errs."""
+def gradients(
+    view: View, variance: float, kind: Kind, errors: OutlineErrors | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the covariance (n, n) of J^T r if residuals are independent, and as a mask of a kind
+    errs."""
     triangle = view.triangle
-    independent, errors = variance * triangle.T @ triangle, context.errors
+    independent = variance * triangle.T @ triangle
     # What is not of this mask's pixels, as a prior, keeps its variance.
     beside = variance * view.known.T @ view.known
     share, computed = 1.0 if errors is None else errors.computed, independent
-    if context.kind.hard and share:
+    if kind.hard and share:
         computed = variance * quantised(view) + beside
     if errors is None:
         return independent, computed
@@ -422,6 +418,12 @@ def iou_and_rms(masks: Sequence[Sums]) -> tuple[float, float]:
     union, weight = total("union"), total("weight")
     iou = total("overlap") / union if union > 0 else 0.0
     return iou, (total("squares") / weight) ** 0.5 if weight > 0 else float("nan")
+
+
+def share_astray(near: Sums, whole: Sums) -> float:
+    """The share of the outline that is far from the mask's edge, by the sums near it and over the
+    whole."""
+    return 1 - float(near.touched) / float(whole.touched) if whole.touched else 0.0
 
 
 def with_modes(fit: AnyFit, modes: Sequence[AnyFit]) -> AnyFit:

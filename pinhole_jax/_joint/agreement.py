@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from .._fit.drift import sigma_of
-from .._fit.result import Context, gradients
+from .._fit.result import gradients
 from .._outline.outline_errors import OutlineErrors
 from .._outline.statistics import err_alike, mask_errors
 from .._outline.stretches import Blocks
@@ -47,8 +47,8 @@ OFF, NO_WEIGHT = 2.5, 1e-6
 NORMAL_95 = 1.959964
 #: How many times a residual's variance masks may err by, against priors.
 DESIGNS = (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0, 4096.0)
-#: Coverage and residuals of pixels that are the same agree to a 16384th.
-LEVELS = 1 << 16
+#: Coverage and residuals of pixels that are the same agree to the inverse of this.
+LEVELS = 1 << 14
 #: What of a covariance of gradients counts as nothing, beside its largest.
 NOTHING = 1e-10
 #: A parameter moves along a direction if by more than this share of the largest move.
@@ -172,17 +172,16 @@ class Agreement(Minimum):
         keys, rows, view = [], [], []
         for k, (seen, own) in enumerate(zip(self.descent.seen, self._by_shared, strict=True)):
             pixels, window = seen.view.pixels, seen.view.level.window()
-            H, W = self.problem.eyes[k].solver.target.shape
             row, column = np.divmod(pixels.cell, window.W + 2)
-            place = (row + window.bottom) * (W + 2) + column + window.left
-            key = cameras.index(cameras[k]) * (H + 2) * (W + 2) + place
-            for value in (pixels.coverage, pixels.residual):
-                # (All that are the same have the same bits: their geometry is.)
-                key = key * LEVELS + np.round(value * (LEVELS // 4)).astype(np.int64) % LEVELS
-            keys.append(key)
+            camera = np.full(len(row), cameras.index(cameras[k]))
+            # (All that are the same have the same bits: their geometry is.)
+            values = np.round(LEVELS * np.array([pixels.coverage, pixels.residual]))
+            keys.append(
+                np.column_stack([camera, row + window.bottom, column + window.left, *values])
+            )
             rows.append(pixels.jacobian @ seen.moves @ own)
-            view.append(np.full(len(key), k))
-        same = Blocks.alike(np.concatenate(keys)[:, None])
+            view.append(np.full(len(row), k))
+        same = Blocks.alike(np.concatenate(keys))
         return np.concatenate(rows), np.concatenate(view), same
 
 
@@ -278,9 +277,7 @@ def weigh_priors(problem: JointProblem, found: Descent) -> JointProblem:
 
 def _agreement(problem: JointProblem, found: Descent, counts: np.ndarray) -> Agreement:
     """The agreement of weighed views; those that agree had the weights `counts`."""
-    noise = problem.noise(found)
-    prior_rows = problem.prior_rows(found, noise)
-    rows = []
+    here, rows = Minimum(problem, found), []
     for eye, seen in zip(problem.eyes, found.seen, strict=True):
         errors = mask_errors(eye.solver, seen.view)
         gradient = _gradient(eye.solver, seen, errors)
@@ -289,8 +286,8 @@ def _agreement(problem: JointProblem, found: Descent, counts: np.ndarray) -> Agr
         rows.append((errors, gradient, misfit, *_distance(eye.solver, seen, gradient * felt**2)))
     errors, gradients, misfits, squares, ranks = map(list, zip(*rows, strict=True))
 
-    freedom = sum(ranks) + len(prior_rows) - problem.size
-    of_priors = sum(part.squares for part in prior_rows) / noise**2
+    freedom = sum(ranks) + len(here.prior_rows) - problem.size
+    of_priors = sum(part.squares for part in here.prior_rows) / here.noise**2
     apart = float(problem.weights @ np.array(squares)) + of_priors
     several = len(rows) > 1  # (One view has none that it could differ from.)
     misfit = np.array(misfits) * counts
@@ -310,8 +307,7 @@ def _gradient(solver: Solver, seen: ViewRows, errors: OutlineErrors | None) -> n
     """The covariance (n, n) of J^T r in a view."""
     sums, triangle = seen.view.sums, seen.view.triangle
     noise = float(sums.touched_squares) / max(float(sums.touched) - len(triangle), 1)
-    context = Context(solver.kind, errors=errors)
-    of_mask = gradients(seen.view, max(noise, solver.kind.least), context)[1]
+    of_mask = gradients(seen.view, max(noise, solver.kind.least), solver.kind, errors)[1]
     # The last step was off by as much as is negligible.
     normal = FINE_PX[solver.dtype] / UNIT_PX * triangle.T @ triangle
     return of_mask + normal @ normal.T

@@ -256,9 +256,7 @@ def _camera_fit(
     (k, eye), state = problem.eye_of(name), found.descent.state
     levels, seen = eye.solver.levels, found.descent.seen[k]
     in_carrier = lambda state: at_pose(state.lenses[name], state.poses[eye.moving] @ eye.rig)
-    ends = found.descent.way
-    way = [Stop(in_carrier(at), levels[eye.level(depth)], steps) for at, depth, steps in ends]
-
+    stop = lambda end: Stop(in_carrier(end.state), levels[eye.level(end.depth)], end.steps)
     parts = problem.parts_of(name)
     covariance = found.covariance_of(parts)
     here = Solution(eye.canonical(state), seen.view, ())
@@ -280,7 +278,7 @@ def _camera_fit(
         rms=rms,
         iou=iou,
         steps=found.descent.taken,
-        history=tuple(progress_at(stop, film) for stop in way),
+        history=tuple(progress_at(stop(end), film) for end in found.descent.way),
         independent_covariance=found.covariance_of(parts, independent=True),
         mask_error=max(errors, key=lambda error: error.px, default=None),
     )

@@ -46,9 +46,17 @@ def joint_observability(
     print(pj.joint_observability([pj.JointView(scene, None)], truth, ("pose", "phi")))
     ```
     """
-    blank = [_blank(view, cameras) for view in views]
-    given = {"shared": shared, "objects": objects, "rig": rig, "prior": prior}
-    problem = joint_problem(blank, cameras, free, joint_zeros=joint_zeros, **given).with_zeros()
+    problem = joint_problem(
+        [_blank(view, cameras) for view in views],
+        cameras,
+        free,
+        shared=shared,
+        objects=objects,
+        rig=rig,
+        prior=prior,
+        joint_zeros=joint_zeros,
+        as_given=True,
+    ).with_zeros()
     here, each = problem.stay(problem.start), np.eye(problem.size)
 
     moves = [rows.moves @ each[problem.columns(k)] for k, rows in enumerate(here.seen)]
@@ -73,9 +81,7 @@ def _blank(view: Any, cameras: Any) -> Any:
     camera = cameras.get(view.camera) if isinstance(cameras, Mapping) else cameras
     if not isinstance(camera, Camera):
         return view
-    mask = np.zeros((camera.H, camera.W))
-    mask[tuple(slice(n // 4, n - n // 4) for n in mask.shape)] = 1
-    return view._replace(target=mask, photo=None)
+    return view._replace(target=np.full((camera.H, camera.W), 0.5), photo=None)
 
 
 def _words(problem: JointProblem, direction: np.ndarray) -> list[str]:

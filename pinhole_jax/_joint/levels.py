@@ -9,6 +9,7 @@ import numpy as np
 
 from .._files.progress import say
 from .._fit.photo import COLOURS, OF_MASK, Images, Outline, refine_on_photos
+from .._fit.result import share_astray
 from .._rules import RULES
 from .._solver.looks import Sums
 from .._solver.problem import COARSE_PX, FINE_PX
@@ -119,9 +120,8 @@ def finish(problem: JointProblem, path: Descent, photos: bool = False) -> Outcom
 
     by_masks = agree(near, path, px)
     whole = [eye.look(by_masks.descent.state).sums for eye in eyes]
-    counted = [float(seen.view.sums.touched) for seen in by_masks.descent.seen]
-    touched = [float(sums.touched) for sums in whole]
-    astray = [1 - n / t if t else 0.0 for n, t in zip(counted, touched, strict=True)]
+    near = (seen.view.sums for seen in by_masks.descent.seen)
+    astray = [*map(share_astray, near, whole)]
     if not photos:
         return Outcome(problem, by_masks, whole, astray)
 

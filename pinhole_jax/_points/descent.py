@@ -1,7 +1,6 @@
 """The way of views of points: where it begins, and leads where squares are least; and other cameras
 that see points as well: reversed depths of a plane, poses of three points of few."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -71,21 +70,16 @@ def descend(given: PointProblem, state: State, reach: float | None) -> PointDesc
         settled = replace(problem, known=noise)
         limits = [rms_limit(matches, given.known, reach) for matches in problem.matches]
         places = [rivals(settled, k, end, noise, limit) for k, limit in enumerate(limits)]
-        moved = {k: some[0].state for k, some in enumerate(places) if some[0].steps}
+        each = zip(problem.cameras, places, strict=True)
+        moved = {name: some[0].state.lenses[name] for name, some in each if some[0].steps}
         if jumps == JUMPS or not moved:
             break
         jumps += 1
         problem = replace(problem, known=given.known)
-        problem, end = _descend_together(problem, _joined(problem, end, moved))
+        there = end.state._replace(lenses={**end.state.lenses, **moved})
+        problem, end = _descend_together(problem, end._replace(state=there))
     others = [[place for place in some if place.steps] for some in places]
     return PointDescent(settled, end, others, limits)
-
-
-def _joined(problem: PointProblem, end: Descent, moved: Mapping[int, State]) -> Descent:
-    """The end, but for views that are where they are in states of their own."""
-    names = {k: problem.eyes[k].shot.camera for k in moved}
-    cameras = {name: moved[k].lenses[name] for k, name in names.items()}
-    return end._replace(state=end.state._replace(lenses={**end.state.lenses, **cameras}))
 
 
 def _descend_together(problem: PointProblem, path: Descent) -> tuple[PointProblem, Descent]:

@@ -346,9 +346,8 @@ def _without_answer(problem: PointProblem, k: int, end: Descent) -> PointFit:
     """The fit of a view that no step could be taken in."""
     camera = on_film(problem.eyes[k].canonical(end.state), problem.cameras[str(k)])
     labels = labels_of(problem.matches[k].freed)
-    nothing = np.full((len(labels), len(labels)), np.nan)
-    known = {"names": labels, "covariance": nothing, "rms_px": float("nan")}
-    return PointFit(camera=camera, status="non_finite", **known)
+    known = {"names": labels, "covariance": np.full(2 * (len(labels),), np.nan)}
+    return PointFit(camera=camera, status="non_finite", rms_px=np.nan, **known)
 
 
 def _report(found: PointDescent, k: int, here: Minimum, beyond: np.ndarray) -> PointFit:
