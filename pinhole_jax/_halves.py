@@ -23,7 +23,7 @@ from ._fit.words import UNIT
 from ._joint.joint_fit import JointFit, ObjectFit
 from ._joint.views import TO_B
 from ._mask.target import check_target, inside_of
-from ._numerics.arrays import ArrayLike, Input
+from ._numerics.arrays import ArrayLike, Input, check_kind
 from ._solver.heading import carried
 from ._solver.parameters import LABELS
 
@@ -164,8 +164,7 @@ def split_check(refit: Callable[[Half], AnyFit], halves: tuple[Half, Half]) -> S
     ```
     """
     first, second = map(refit, halves)
-    if not isinstance(first, Result | Sequence):
-        raise ValueError(f"`refit`: expected it to return a fit, got {type(first).__name__}")
+    check_kind("refit", first, Result | Sequence, "it to return a fit")
     checks = [_compared(a, b) for a in _rivals(first) for b in _rivals(second)]
     best = min(checks, key=lambda check: (not check.parameters, check.rms))
     if not any(part.names for part in best.parts):

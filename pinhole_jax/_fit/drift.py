@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from .._camera.axes import axes_of
 from .._camera.camera import Camera
+from .._numerics.arrays import check_kind
 from .places import turned_by
 from .result import Fit, check_fit
 from .words import UNIT
@@ -89,9 +90,7 @@ def drift(fit: Fit, reference: Camera | Fit) -> Drift:
     ```
     """
     check_fit(fit)
-    if not isinstance(reference, Camera | Fit):
-        words = f"expected a Camera or a Fit, got {type(reference).__name__}"
-        raise ValueError(f"`reference`: {words}")
+    check_kind("reference", reference, Camera | Fit, "a Camera or a Fit")
     fitted = [k for k, name in enumerate(POSE) if name in fit.names]
     if not fitted:
         raise ValueError(f"`fit`: expected one whose pose was free, got {', '.join(fit.names)}")

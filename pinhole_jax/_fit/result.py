@@ -13,7 +13,7 @@ from jaxtyping import Float
 from .._camera.axes import axes_of
 from .._camera.camera import Camera
 from .._mask.kinds import Kind
-from .._numerics.arrays import ArrayLike, Input, is_concrete
+from .._numerics.arrays import ArrayLike, Input, check_kind, is_concrete
 from .._outline.outline_errors import OutlineErrors, is_drawn
 from .._outline.stretches import quantised
 from .._rules import RULES
@@ -86,8 +86,7 @@ class Progress(NamedTuple):
 
 def check_fit(fit: Any) -> None:
     """Raise ValueError unless this is a fit."""
-    if not isinstance(fit, Fit):
-        raise ValueError(f"`fit`: expected a Fit, got {type(fit).__name__}")
+    check_kind("fit", fit, Fit, "a Fit")
 
 
 class Record(eqx.Module):

@@ -21,7 +21,7 @@ from .._fit.photo import check_photo
 from .._mask.mask import Mask
 from .._mask.pyramid import LEAST_CELLS
 from .._mask.target import check_target, levelled
-from .._numerics.arrays import as_count, check_positive
+from .._numerics.arrays import as_count, check_kind, check_known, check_positive
 from .._scene.assembly import Posture
 from .._scene.scene import check_scene
 from .._solver.moves import Bounds, canonical
@@ -144,16 +144,12 @@ def _groups_of(shared: Any, cameras: Mapping[str, Camera]) -> dict[str, list[tup
     if not isinstance(shared, Mapping):
         shared = {name: [tuple(cameras)] for name in as_names(shared, "shared")}
     known, first, result = [*SHARED, "distortion"], next(iter(cameras.values())), {}
+    check_known("shared", shared, known)
     for name, given in shared.items():
-        if name not in known:
-            words = f"expected names among {', '.join(known)}, got {name!r}"
-            raise ValueError(f"`shared`: {words}")
         groups = [(group,) if isinstance(group, str) else (*group,) for group in given if group]
         named = [n for group in groups for n in group]
         for row in check_free((name,), first, argument="shared"):
-            if unknown := [n for n in named if n not in cameras]:
-                words = f"expected groups of cameras among {', '.join(cameras)}, got {unknown[0]!r}"
-                raise ValueError(f"`shared`: {words}")
+            check_known("shared", named, cameras, "groups of cameras")
             if len({*named}) < len(named):
                 raise ValueError(f"`shared`: expected each camera in one group of {row}, got more")
             result[row] = groups
@@ -217,12 +213,9 @@ def zeros_of(given: Any, views: Sequence[JointView]) -> list[JointPrior]:
         raise ValueError("`joint_zeros`: expected views with a `posture`, got none")
     if not isinstance(given, Mapping):
         given = {name: given for name, unit in units.items() if unit == "rad"}
+    check_known("joint_zeros", given, units, "joints")
     result = []
     for name, std in given.items():
-        if name not in units:
-            raise ValueError(
-                f"`joint_zeros`: expected joints among {', '.join(units)}, got {name!r}"
-            )
         check_positive("joint_zeros", std, f"a positive deviation of {name!r}")
         result.append(JointPrior(Part(name, ZERO), ZERO, 0.0, float(std)))
     return result
@@ -256,11 +249,7 @@ def by_name(
         return {}
     if not (isinstance(given, Mapping) and any(isinstance(x, Mapping) for x in given.values())):
         return dict.fromkeys(cameras, given)
-    known = [*cameras, *objects]
-    if unknown := [name for name in given if name not in known]:
-        raise ValueError(
-            f"`{argument}`: expected names among {', '.join(known)}, got {unknown[0]!r}"
-        )
+    check_known(argument, given, [*cameras, *objects])
     return dict(given)
 
 
@@ -273,9 +262,7 @@ def _poses(argument: str, given: Mapping[str, Any] | None) -> dict[str, Pose]:
 
 def _checked_cameras(cameras: Any) -> Mapping[str, Camera]:
     cameras = {"camera": cameras} if isinstance(cameras, Camera) else cameras
-    if not isinstance(cameras, Mapping):
-        kind = type(cameras).__name__
-        raise ValueError(f"`cameras`: expected a Camera, or a dict of them, got {kind}")
+    check_kind("cameras", cameras, Mapping, "a Camera, or a dict of them")
     for name, camera in cameras.items():
         check_camera(camera, f"cameras[{name!r}]")
     return cameras
@@ -287,12 +274,9 @@ def _check_views(views: Any) -> None:
     if not views:
         raise ValueError("`views`: expected at least one JointView, got none")
     for k, view in enumerate(views):
-        if not isinstance(view, JointView):
-            raise ValueError(f"`views[{k}]`: expected a JointView, got {type(view).__name__}")
+        check_kind(f"views[{k}]", view, JointView, "a JointView")
         check_scene(view.scene)
-        if view.posture is not None and not isinstance(view.posture, Posture):
-            kind = type(view.posture).__name__
-            raise ValueError(f"`views[{k}].posture`: expected a Posture or None, got {kind}")
+        check_kind(f"views[{k}].posture", view.posture, Posture | None, "a Posture or None")
 
 
 def _check_names(

@@ -13,7 +13,7 @@ from .._files.progress import listening, shown
 from .._fit.fit_camera import anywhere, check_alone
 from .._fit.implicit import check_plain, through
 from .._fit.result import Fit, with_modes
-from .._numerics.arrays import ArrayLike, Input, is_concrete
+from .._numerics.arrays import ArrayLike, Input, check_kind, is_concrete
 from .._scene.scene import Scene, check_scene
 from .._solver.parameters import as_names, check_free
 from .._solver.priors import Pair
@@ -258,9 +258,7 @@ def _checked_count(targets: Any, cameras: Any, weights: Any) -> int:
     """The number of masks. Raises ValueError where other arguments have not as many."""
     if isinstance(cameras, Camera):
         raise ValueError("`cameras`: expected one Camera for each mask, in a list, got one Camera")
-    if not isinstance(targets, Sequence | np.ndarray | jax.Array):
-        kind = type(targets).__name__
-        raise ValueError(f"`targets`: expected masks (H, W) in a list, got {kind}")
+    check_kind("targets", targets, Sequence | np.ndarray | jax.Array, "masks (H, W) in a list")
     if (count := len(targets)) == 0:
         raise ValueError("`targets`: expected at least one mask, got none")
     for name, given in (("cameras", cameras), ("weights", weights)):

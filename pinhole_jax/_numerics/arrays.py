@@ -2,6 +2,7 @@
 
 import contextlib
 import operator
+from collections.abc import Collection, Iterable
 from numbers import Real
 from reprlib import repr as brief
 from typing import TYPE_CHECKING, Any
@@ -53,6 +54,21 @@ def check_positive(name: str, value: Any, expected: str = "a positive number") -
     """Raise ValueError unless this is a finite number above 0."""
     if not (is_number(value) and 0 < value < np.inf):
         raise ValueError(f"`{name}`: expected {expected}, got {value!r}")
+
+
+def check_kind(name: str, value: Any, kind: Any, expected: str) -> None:
+    """Raise ValueError unless this is of a kind, or of one of several."""
+    if not isinstance(value, kind):
+        raise ValueError(f"`{name}`: expected {expected}, got {type(value).__name__}")
+
+
+def check_known(
+    name: str, given: Iterable[Any], known: Collection[str], what: str = "names"
+) -> None:
+    """Raise ValueError for a name that is none of those that are known."""
+    for other in given:
+        if other not in known:
+            raise ValueError(f"`{name}`: expected {what} among {', '.join(known)}, got {other!r}")
 
 
 def as_count(name: str, value: Any) -> int:

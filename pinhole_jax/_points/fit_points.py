@@ -32,6 +32,7 @@ from .._numerics.arrays import (
     Input,
     array_of,
     as_count,
+    check_kind,
     checked,
     is_concrete,
 )
@@ -262,9 +263,7 @@ def _usual_weight(given: PointArrays) -> float:
 def _cameras(camera: Any, count: int) -> list[Camera]:
     """A camera for each of this many views, or raise ValueError."""
     cameras = [camera] * count if isinstance(camera, Camera) else camera
-    if not isinstance(cameras, Sequence):
-        kind = type(camera).__name__
-        raise ValueError(f"`camera`: expected a Camera, or one for each view, got {kind}")
+    check_kind("camera", cameras, Sequence, "a Camera, or one for each view")
     for one in cameras:
         check_camera(one)
     if len(cameras) != count:

@@ -127,7 +127,7 @@ class Matches(eqx.Module):
     def look(self, camera: Camera, level: int = 0) -> View:
         """The view at a camera (canonical)."""
         del level
-        found = (np.asarray(x, float) for x in self._look(camera)[:5])
+        found: Any = (np.asarray(x, float) for x in self._look(camera)[:5])
         triangle, along, to_reported, scale, squares = found
         nothing: Any = np.zeros(())
         sums, known = Sums(squares, *[nothing] * 6), np.zeros((0, len(scale)))

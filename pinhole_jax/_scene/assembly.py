@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._camera.poses import moved
-from .._numerics.arrays import ArrayLike, Input
+from .._numerics.arrays import ArrayLike, Input, check_known
 from .scene import Mesh, Scene, with_vertices
 
 #: The units of joints that turn and that slide, and of a body's size.
@@ -104,8 +104,7 @@ class Posture:
         poses: Callable[[np.ndarray], ArrayLike],
         joints: Mapping[str, str],
     ):
-        if wrong := [unit for unit in joints.values() if unit not in UNITS]:
-            raise ValueError(f"`joints`: expected units among {', '.join(UNITS)}, got {wrong[0]!r}")
+        check_known("joints", joints.values(), UNITS, "units")
         self._assembly, self._poses = assembly, poses
         self.joints, self.units = tuple(joints), tuple(joints.values())
 

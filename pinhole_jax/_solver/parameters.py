@@ -20,6 +20,7 @@ from jaxtyping import Array
 from .._camera.camera import Camera, principal_point
 from .._camera.distortion import COEFFICIENTS, BrownConrady
 from .._camera.lens import Lens, check_lens
+from .._numerics.arrays import check_known
 
 
 class Scale(NamedTuple):
@@ -201,17 +202,15 @@ def check_free(
     own = [field.name for field in fields(model)]
     names = as_names(free, argument)
     freed = tuple(n for name in names for n in (own if name == "distortion" else [name]))
-    known = ", ".join(NAMES)
+    check_known(argument, freed, NAMES)
     for name in freed:
-        if name not in PARAMETERS:
-            raise ValueError(f"`{argument}`: expected names among {known}, got {name!r}")
         if name in COEFFICIENTS and name not in own:
             raise ValueError(
                 f"`{argument}`: expected coefficients of a {model.__name__} ({', '.join(own)}),"
                 f" got {name!r}"
             )
     if not freed:
-        raise ValueError(f"`{argument}`: expected at least one of {known}, got none")
+        raise ValueError(f"`{argument}`: expected at least one of {', '.join(NAMES)}, got none")
     if {"phi", "d"} <= set(freed):
         raise ValueError(f"`{argument}`: expected phi or d (both set the focal length), got both")
     if "pose" in freed and {"position", "orientation"} & set(freed):

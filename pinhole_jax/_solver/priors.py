@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._camera.camera import Camera
-from .._numerics.arrays import ArrayLike, check_positive, is_number
+from .._numerics.arrays import ArrayLike, check_kind, check_known, check_positive, is_number
 from .._rules import RULES
 from .moves import Bounds
 from .parameters import LABELS, PARAMETERS, labels_of
@@ -105,15 +105,9 @@ def measured(prior: Any, known: list[str]) -> np.ndarray:
 
 def pairs(name: str, given: Any, known: list[str], words: str) -> np.ndarray:
     """Return the pairs (2, k) that free parameters are given, or raise ValueError."""
-    if not isinstance(given, Mapping):
-        raise ValueError(
-            f"`{name}`: expected a dict of names and their {words}, got {type(given).__name__}"
-        )
+    check_kind(name, given, Mapping, f"a dict of names and their {words}")
+    check_known(name, given, known, "free parameters")
     for label, pair in given.items():
-        if label not in known:
-            raise ValueError(
-                f"`{name}`: expected free parameters among {', '.join(known)}, got {label!r}"
-            )
         numbers = pair if isinstance(pair, tuple | list) or np.ndim(pair) else ()
         if len(numbers) != 2 or not all(is_number(x) and np.isfinite(x) for x in numbers):
             raise ValueError(f"`{name}`: expected {words} of {label!r}, got {pair!r}")

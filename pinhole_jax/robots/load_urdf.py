@@ -11,7 +11,7 @@ import numpy as np
 
 from .._files.fields import Fields
 from .._files.paths import FilePath, as_path, parse_xml, read_bytes
-from .._numerics.arrays import Input
+from .._numerics.arrays import Input, check_known
 from .._scene.scene import Mesh
 from ..io.meshes import load_mesh
 from .packages import check_packages, mesh_path
@@ -56,9 +56,7 @@ def load_urdf(
     except (FileNotFoundError, ValueError) as error:
         where = f"{str(path)!r}, link {link!r}" if link else repr(str(path))
         raise type(error)(f"`path`: expected a URDF file, got {where}: {error}") from error
-    if unknown := [link for link in leave_out if link not in links]:
-        known = ", ".join(links)
-        raise ValueError(f"`leave_out`: expected links among {known}, got {unknown[0]!r}")
+    check_known("leave_out", leave_out, links, "links")
     return robot
 
 

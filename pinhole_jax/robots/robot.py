@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._camera.poses import exponential
-from .._numerics.arrays import ArrayLike, Input
+from .._numerics.arrays import ArrayLike, Input, check_known
 from .._scene.assembly import Assembly, Posture
 from .._scene.scene import Mesh, Scene
 from .urdf import Joint, following, from_root
@@ -111,10 +111,8 @@ class Robot:
         given = {n: float(x) for n, x in angles.items() if n not in self._following}
         if missing := [name for name in self.joints if name not in given]:
             raise ValueError(f"`angles`: expected one of each joint, got none of {missing[0]}")
+        check_known("angles", given, self.joints, "joints")
         for name, angle in given.items():
-            if name not in self.joints:
-                known = ", ".join(self.joints)
-                raise ValueError(f"`angles`: expected joints among {known}, got {name!r}")
             if not np.isfinite(angle):
                 raise ValueError(f"`angles`: expected finite numbers, got {angle} of {name}")
         return given
