@@ -19,7 +19,7 @@ from arm import (
     posture,
 )
 from numpy.testing import assert_allclose
-from oracles import body, drawn
+from oracles import body, camera_anywhere, drawn
 from refusals import refusal
 from results import NAMES, fit_at
 
@@ -61,6 +61,25 @@ def test_object_size_is_found_with_its_pose(arm, scenes, larger):
     # (Each view's camera is in its scene's frame, as the scene is given.)
     shown = fit.views[2]
     assert np.max(np.abs(drawn(shown.camera, shown.scene) - shrunk)) < 1e-6
+
+
+def test_size_that_no_camera_shows_leaves_the_rest_known(scenes):
+    """Four cameras see a part of unknown size, and share a lens with a fifth, which sees another.
+    (What eliminating the four leaves of the size is rounding: their errors were NaN.)"""
+    truth = {name: camera_anywhere(k, SIZE, SIZE) for k, name in enumerate("abcde")}
+    views = [
+        pj.JointView(
+            scenes[0], drawn(camera, scenes[0]), name, scale="size" * (name != "e") or None
+        )
+        for name, camera in truth.items()
+    ]
+    fit = pj.fit_joint(views, truth, shared="phi")
+    assert fit.status == "rank_deficient"
+    assert fit.weak[0].startswith("the scale of 'size' and its distance cannot be told apart")
+    *four, other = fit.cameras.values()
+    assert all(found.status == "rank_deficient" for found in four)
+    assert all(np.all(np.isfinite(found.std[[0, 1, 2, 6]])) for found in four)
+    assert (other.status, np.all(np.isfinite(other.std))) == ("converged", True)
 
 
 def test_size_and_distance_are_one_to_a_single_camera(larger):

@@ -30,7 +30,6 @@ from .._solver.least_squares import LinearSolution
 from .._solver.parameters import components
 from .._solver.problem import FINE_PX, UNIT_PX
 from .._solver.solver import Solver
-from .._solver.uncertainty import BLIND
 from .system import LEAST_DAMPING, Descent, JointProblem, Minimum, Part, ViewRows
 
 #: Degrees of freedom of the t distribution of views' residuals: a few bad views count for little.
@@ -114,7 +113,7 @@ class Agreement(Minimum):
     @cached_property
     def unseen(self) -> np.ndarray:
         """Directions of the unknowns (size, d) that change no mask."""
-        return self.solved.unseen(BLIND[self.problem.dtype])
+        return self.solved.unseen()
 
     @cached_property
     def by_masks(self) -> "Sandwich":

@@ -20,6 +20,7 @@ from .._solver.moves import Move, moved
 from .._solver.parameters import LABELS, PARAMETERS, labels_of
 from .._solver.priors import contradictions
 from .._solver.problem import COARSE_PX, COSINE, FINE_PX, UNIT_PX
+from .._solver.uncertainty import BLIND
 from .views import (
     MOTIONS,
     POSE,
@@ -163,7 +164,7 @@ class JointProblem:
         return {(u.name, u.kind): k for k, unknowns in each for u in unknowns}
 
     @cached_property
-    def _owner(self) -> np.ndarray:
+    def owner(self) -> np.ndarray:
         """The block that each of the numbers (size,) is eliminated with, -1 of those that stay."""
         sizes = [u.size for u in self.unknowns]
         return np.repeat(blocks_of(self._seen, sizes), sizes)
@@ -326,7 +327,7 @@ class JointProblem:
             outward = self.ways_out(here) * slope_of(parts, self.size) < 0
             parts = [part.without(outward) for part in parts]
             size = np.maximum(size, self.sizes(here, parts))
-            x = self.solved(parts, damping**0.5 * size).x
+            x = solve(parts, self.owner, damping**0.5 * size).x
             moves = (s.moves @ x[self.columns(k)] for k, s in enumerate(here.seen))
             moved = max(float(np.max(np.abs(y), initial=0)) for y in moves)
             change = sum(float(np.sum((p.rows @ x[p.columns]) ** 2)) for p in parts)
@@ -339,10 +340,6 @@ class JointProblem:
             ended = moved < px / UNIT_PX or change <= COSINE[self.dtype] ** 2 * squares
         way = LevelEnd(state, self.depth, 0), LevelEnd(here.state, self.depth, steps)
         return Descent(here.state, here.seen, squares, steps, ended, way)
-
-    def solved(self, parts: list[Rows], damping: float | np.ndarray = 0.0) -> LinearSolution:
-        """What is solved by rows, and `damping` (size,) times each number."""
-        return solve(parts, self._owner, np.broadcast_to(damping, self.size))
 
     def stay(self, state: State) -> Descent:
         """A descent of no steps."""
@@ -460,7 +457,9 @@ class Minimum:
     @cached_property
     def solved(self) -> LinearSolution:
         """What determines the unknowns."""
-        return self.problem.solved(self.parts)
+        problem = self.problem
+        still = np.zeros(problem.size)
+        return solve(self.parts, problem.owner, still, BLIND[problem.dtype])
 
     @cached_property
     def slope(self) -> np.ndarray:

@@ -74,7 +74,7 @@ def beyond_noise(solved: LinearSolution, views: int, noise: Noise) -> np.ndarray
     nothing = np.zeros(solved.triangle.shape)
     if not (nothing.size and 0 < noise.shown < np.inf and noise.freedom < np.inf):
         return nothing
-    back, pulls, shares, against = np.linalg.pinv(solved.triangle), [], [], []
+    back, pulls, shares, against = solved.inverted.back, [], [], []
     for part in solved.reduced[:views]:
         left = part.rows @ solved.x[solved.shared] + part.left
         by_shared = part.rows @ back  # moves whose covariance is 1

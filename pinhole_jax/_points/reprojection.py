@@ -236,7 +236,7 @@ class PointProblem(JointProblem):
         return Noise(here.total("squares") / (count - self.size), self.left_over)
 
     @cached_property
-    def _owner(self) -> np.ndarray:
+    def owner(self) -> np.ndarray:
         """The view that alone depends on each of the numbers (size,), -1 where several do."""
         owners = [-1 if len(u.cameras) > 1 else int(u.name) for u in self.unknowns]
         return np.repeat(owners, [u.size for u in self.unknowns])

@@ -11,6 +11,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+#: Of a triangle what shows less than this share of the best-seen direction is rounding; a
+#: direction moves an unknown if that shows more than this share of what moves most.
+LEAST_SEEN, ROUNDING = 1e-15, 1e-6
+
 
 class Rows(NamedTuple):
     """Residuals (m,) `rows x[columns] + left` of one part."""
@@ -74,57 +78,73 @@ def blocks_of(views: list[list[int]], sizes: list[int]) -> np.ndarray:
 class LinearSolution(NamedTuple):
     """The least squares' x (size,), and what determines it.
 
-    - `shared` (s,): the unknowns that no block owns, and their `triangle`.
+    - `shared` (s,): the unknowns that no block owns, their `triangle`, and that `inverted`.
     - `follows` (size, s): the derivative of all unknowns by these.
-    - `own`: the unknowns of each block of views, their triangle, and its inverse.
+    - `own`: the unknowns of each block of views, and their triangle, inverted.
     - `owner` (size,): the number of the block that owns an unknown, -1 of shared ones.
     - `reduced`: the rows by shared unknowns that each block leaves.
+    - `sizes` (size,): how much each unknown shows, all others held.
     """
 
     x: np.ndarray
     shared: np.ndarray
     triangle: np.ndarray
+    inverted: "Inverted"
     follows: np.ndarray
-    own: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]]
+    own: dict[int, tuple[np.ndarray, "Inverted"]]
     owner: np.ndarray
     reduced: list[Rows]
+    sizes: np.ndarray
 
     def root(self, place: np.ndarray, block: int | None = None) -> np.ndarray:
         """A root of the inverse of the normal matrix between unknowns (p,): it, times its
         transpose, is that, but for what other blocks than this (None: theirs) alone determine."""
         block = int(np.max(self.owner[place], initial=-1)) if block is None else block
-        result = self.follows[place] @ np.linalg.pinv(self.triangle)
+        result = self.follows[place] @ self.inverted.back
         if block < 0:
             return result
-        own, _, back = self.own[block]
-        return np.hstack([result, (place[:, None] == own) @ back])
+        own, inverted = self.own[block]
+        return np.hstack([result, (place[:, None] == own) @ inverted.back])
 
-    def unseen(self, blind: float) -> np.ndarray:
-        """Return directions (size, d) of the unknowns that change residuals by less than a share
-        `blind` of the best-seen direction's change."""
-        directions = [self.follows @ _null(self.triangle, blind)]
-        for own, triangle, _ in self.own.values():
-            hidden = _null(triangle, blind)
+    def unseen(self) -> np.ndarray:
+        """Directions (size, d) of the unknowns that residuals do not see."""
+        directions = [self.follows @ self.inverted.hidden]
+        for own, (_, hidden) in self.own.values():
             directions.append(np.zeros((len(self.x), hidden.shape[1])))
             directions[-1][own] = hidden
-        return np.hstack(directions)
+        found = np.hstack(directions)
+        # (What shared unknowns leave of others is rounding, if these do not follow.)
+        shown = np.abs(found) * self.sizes[:, None]
+        return np.where(shown > ROUNDING * np.max(shown, axis=0, initial=0), found, 0)
 
 
-def _null(triangle: np.ndarray, blind: float) -> np.ndarray:
-    """Return directions (n, d), of length 1, that a triangle does not see, whatever the units."""
-    size = np.linalg.norm(triangle, axis=0)
-    size = np.where(size > 0, size, 1.0)
-    _, values, directions = np.linalg.svd(triangle / size)
-    known = np.zeros(len(size))
-    known[: len(values)] = values
-    hidden = directions[known <= blind * max(float(np.max(known, initial=0)), 1e-300)]
-    return (hidden / np.linalg.norm(hidden / size, axis=1, keepdims=True) / size).T
+class Inverted(NamedTuple):
+    """The inverse of a triangle, `back`, but for directions (n, d), of length 1, that are `hidden`
+    from it."""
+
+    back: np.ndarray
+    hidden: np.ndarray
+
+    @classmethod
+    def of_triangle(cls, triangle: np.ndarray, sizes: np.ndarray, blind: float) -> "Inverted":
+        """Hidden is what shows less than a share `blind` of the best-seen direction, in units in
+        which unknowns show alike: by their `sizes`, as rounding alone may be left of a column."""
+        unit = np.where(sizes > 0, sizes, 1.0)
+        left, values, directions = np.linalg.svd(triangle / unit)
+        seen = values > max(blind, LEAST_SEEN) * np.max(values, initial=0)
+        back = directions[seen].T / values[seen] @ left[:, seen].T / unit[:, None]
+        hidden = directions[~seen] / unit
+        return cls(back, (hidden / np.linalg.norm(hidden, axis=1, keepdims=True)).T)
 
 
-def solve(parts: list[Rows], owner: np.ndarray, damping: np.ndarray) -> LinearSolution:
+def solve(
+    parts: list[Rows], owner: np.ndarray, damping: np.ndarray, blind: float = 0.0
+) -> LinearSolution:
     """Return the x (size,) of least squares, `damping` (size,) times x among the residuals; each
-    block eliminates the unknowns that it owns (-1: none does)."""
+    block eliminates the unknowns that it owns (-1: none does). No step is along directions that
+    show less than a share `blind` of the best-seen one."""
     size, shared = len(owner), np.flatnonzero(owner < 0)
+    sizes = np.hypot(total(parts, size, lambda part: np.sum(part.rows**2, axis=0)) ** 0.5, damping)
     blocks: dict[int, list[Rows]] = {}
     for k, part in enumerate(parts):
         block = int(np.max(owner[part.columns]))
@@ -137,12 +157,14 @@ def solve(parts: list[Rows], owner: np.ndarray, damping: np.ndarray) -> LinearSo
         r, m = _triangle(some, np.append(own, shared), damping[own]), len(own)
         reduced.append(Rows(r[m:, m:-1], r[m:, -1], shared))
         if m:
-            owns[block] = own, r[:m, :m], np.linalg.pinv(r[:m, :m])
-            solved = -owns[block][2] @ r[:m, m:]
+            inverted = Inverted.of_triangle(r[:m, :m], sizes[own], blind)
+            owns[block] = own, inverted
+            solved = -inverted.back @ r[:m, m:]
             follows[own], x[own] = solved[:, :-1], solved[:, -1]
     r = _triangle(reduced, shared, damping[shared])[: len(shared)]
-    x += follows @ (-np.linalg.pinv(r[:, :-1]) @ r[:, -1])
-    return LinearSolution(x, shared, r[:, :-1], follows, owns, owner, reduced)
+    inverted = Inverted.of_triangle(r[:, :-1], sizes[shared], blind)
+    x += follows @ (-inverted.back @ r[:, -1])
+    return LinearSolution(x, shared, r[:, :-1], inverted, follows, owns, owner, reduced, sizes)
 
 
 def _triangle(parts: list[Rows], order: np.ndarray, damping: np.ndarray) -> np.ndarray:
