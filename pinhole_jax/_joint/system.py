@@ -13,6 +13,7 @@ import numpy as np
 
 from .._camera.camera import Camera
 from .._camera.poses import Pose, adjoint, exponential, inverse
+from .._numerics.arrays import evenly
 from .._numerics.threads import in_threads
 from .._solver.least_squares import LinearSolution, Rows, blocks_of, slope_of, solve, total
 from .._solver.looks import View
@@ -294,7 +295,7 @@ class JointProblem:
 
     def few(self, most: int) -> "JointProblem":
         """The problem with this many views at most, spread among all."""
-        numbers = np.unique(np.linspace(0, len(self.eyes) - 1, most).round().astype(int)).tolist()
+        numbers = evenly(len(self.eyes), most).tolist()
         return self if len(numbers) == len(self.eyes) else self.only(numbers, self.unknowns)
 
     @cached_property

@@ -197,15 +197,15 @@ class Eye:
         by_twist[:, 3:] /= self.scale(state)
         pose = stretched(pose, self.scale(state))
         joints = self.joints(state)
-        units = np.append(view.scale, [*joints.values()])
+        own = np.diag(1 / np.append(view.scale, [*joints.values()]))
         parts = [np.zeros((len(by_twist), 0))]
         for name, kind, *_ in unknowns:
             if kind == SCALE:
                 parts.append(-by_twist[:, 3:] @ pose[:3, :3].T @ pose[:3, 3:])
             elif kind == ZERO:
-                parts.append(np.diag(1 / units)[:, [len(view.scale) + [*joints].index(name)]])
+                parts.append(own[:, [len(view.scale) + [*joints].index(name)]])
             elif kind not in MOTIONS:
-                parts.append(np.diag(1 / units)[:, indices(self.solver.freed, kind)])
+                parts.append(own[:, indices(self.solver.freed, kind)])
             elif name == self.moving:
                 parts.append((by_twist @ adjoint(inverse(self.rig)))[:, MOTIONS[kind]])
             else:

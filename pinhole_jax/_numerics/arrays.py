@@ -79,6 +79,11 @@ def as_count(name: str, value: Any) -> int:
     raise ValueError(f"`{name}`: expected an integer of at least 1, got {value!r}")
 
 
+def evenly(number: int, most: int) -> np.ndarray:
+    """Indices (k,) of `most` of a number of things, or of fewer, spread evenly among them."""
+    return np.unique(np.linspace(0, number - 1, most).round().astype(int))
+
+
 def array_of(name: str, value: Any, expected: str) -> Any:
     """Return the value as an array: JAX's stay, others become NumPy's.
 

@@ -25,12 +25,3 @@ def triangle_of(table: Float[Array, "m k"]) -> Float[Array, "k k"]:
         return columns - along[:, None] * v[None]
 
     return jnp.triu(jax.lax.fori_loop(0, k, reflect, columns)[:, :k].T)
-
-
-def triangle_and_rhs(
-    jacobian: Float[Array, "m n"], residual: Float[Array, "m"]
-) -> tuple[Float[Array, "n n"], Float[Array, "n"]]:
-    """R and the first n entries of Q^T r; m > n."""
-    n = jacobian.shape[1]
-    R = triangle_of(jnp.concatenate([jacobian, residual[:, None]], axis=1))
-    return R[:n, :n], R[:n, n]

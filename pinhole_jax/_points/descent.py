@@ -13,6 +13,7 @@ from .._files.progress import say
 from .._joint.levels import REACHES
 from .._joint.system import Descent
 from .._joint.views import POSE, State
+from .._numerics.arrays import evenly
 from .._rules import RULES
 from .._solver.problem import FINE_PX
 from .._solver.uncertainty import BLIND
@@ -143,8 +144,7 @@ def three_point_cameras(matches: Matches, camera: Camera) -> list[Camera]:
     """A camera in all poses that three of the points have, of large triangles; of many
     points, some that are spread evenly among them."""
     counts = matches.different()
-    some = counts[np.unique(np.linspace(0, len(counts) - 1, SCANT).round().astype(int))]
-    points, seen_at = matches.in_heights(some)
+    points, seen_at = matches.in_heights(counts[evenly(len(counts), SCANT)])
     rays = lines_of_sight(camera, seen_at)
     return resect(camera, points, rays, triangles(points, rays, TRIANGLES))
 

@@ -71,10 +71,10 @@ def beyond_noise(solved: LinearSolution, views: int, noise: Noise) -> np.ndarray
     """
     from scipy.stats import f
 
-    nothing = np.zeros(solved.triangle.shape)
+    back, pulls, shares, against = solved.inverted.back, [], [], []
+    nothing = np.zeros_like(back)
     if not (nothing.size and 0 < noise.shown < np.inf and noise.freedom < np.inf):
         return nothing
-    back, pulls, shares, against = solved.inverted.back, [], [], []
     for part in solved.reduced[:views]:
         left = part.rows @ solved.x[solved.shared] + part.left
         by_shared = part.rows @ back  # moves whose covariance is 1

@@ -20,7 +20,7 @@ from .._camera.rays import project
 from .._joint.system import Descent, JointProblem
 from .._joint.views import Eye, Standpoint, State, Unknown, indices
 from .._numerics.pointwise import padded, room
-from .._numerics.thin_qr import triangle_and_rhs
+from .._numerics.thin_qr import triangle_of
 from .._scene.scene import Ball, ball_about
 from .._solver.least_squares import Rows
 from .._solver.looks import Sums, View
@@ -51,7 +51,7 @@ class PointArrays(NamedTuple):
     seen_at: Any
     weight: Any
 
-    def off(self, camera: Camera, H: Any = 1) -> Float[Array, "N 2"]:
+    def off(self, camera: Camera, H: Any) -> Float[Array, "N 2"]:
         """Projected points, by a camera whose unit is `H` px, less where they are seen (px); 0 of
         those that do not count."""
         off = project(camera, self.points) * H - self.seen_at
@@ -127,16 +127,16 @@ class Matches(eqx.Module):
     def look(self, camera: Camera, level: int = 0) -> View:
         """The view at a camera (canonical)."""
         del level
-        found: Any = (np.asarray(x, float) for x in self._look(camera)[:5])
-        triangle, along, to_reported, scale, squares = found
+        found: Any = (np.asarray(x, float) for x in self._look(camera)[:4])
+        rows, to_reported, scale, squares = found
         nothing: Any = np.zeros(())
         sums, known = Sums(squares, *[nothing] * 6), np.zeros((0, len(scale)))
-        return View(triangle, along, sums, to_reported, scale, known, 0.0)
+        return View(rows[:-1, :-1], rows[:-1, -1], sums, to_reported, scale, known, 0.0)
 
     def rows(self, camera: Camera, some: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What moves change the residuals of some points by (k, 2, n), and these (k, 2), in px of a
         point of weight 1."""
-        jacobian, r = self._look(camera)[5:]
+        jacobian, r = self._look(camera)[4:]
         by_point: Any = np.asarray(jacobian, float).reshape(len(self.given.weight), 2, -1)
         return by_point[some], np.asarray(r, float).reshape(-1, 2)[some]
 
@@ -160,8 +160,8 @@ class Matches(eqx.Module):
 
     @eqx.filter_jit
     def _look(self, camera: Camera) -> tuple[Array, ...]:
-        """R and Q^T r of the residuals (px) by moves, the reported parameters' derivative, the
-        moves' sizes, the sum of squares, and the residuals' derivatives and themselves."""
+        """R of [J, r] of the residuals (px) by moves, the reported parameters' derivative, the
+        moves' sizes, the sum of squares, and J and r."""
         about = Ball(*map(jnp.asarray, self.ball))
         move = move_about(camera, about, None, jnp.asarray(self.H), self.freed)
 
@@ -175,8 +175,8 @@ class Matches(eqx.Module):
 
         zero = jnp.zeros_like(move.scale)
         (jacobian, to_reported), r = jax.jacfwd(quantities, has_aux=True)(zero)
-        of_rows = triangle_and_rhs(jacobian, r)
-        return *of_rows, to_reported, move.scale, jnp.sum(r * r), jacobian, r
+        rows = triangle_of(jnp.column_stack([jacobian, r]))
+        return rows, to_reported, move.scale, jnp.sum(r * r), jacobian, r
 
 
 @dataclass(frozen=True, eq=False)

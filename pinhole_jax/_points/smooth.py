@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from .._camera.camera import Camera
+from .._numerics.arrays import evenly
 from .._rules import RULES
 from .noise import Noise
 from .reprojection import Matches, exact_squares
@@ -26,7 +27,7 @@ def alike(matches: Matches, camera: Camera, noise: Noise) -> np.ndarray:
     restricted likelihood is largest (Patterson and Thompson 1971).
     """
     some = matches.different(and_seen=True)
-    some = some[np.unique(np.linspace(0, len(some) - 1, SAMPLE).round().astype(int))]
+    some = some[evenly(len(some), SAMPLE)]
     by_point, left = matches.rows(camera, some)
     J = by_point.reshape(2 * len(some), -1)
     spare, result = len(J) - J.shape[1], np.zeros((J.shape[1], J.shape[1]))

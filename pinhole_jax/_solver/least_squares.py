@@ -78,7 +78,7 @@ def blocks_of(views: list[list[int]], sizes: list[int]) -> np.ndarray:
 class LinearSolution(NamedTuple):
     """The least squares' x (size,), and what determines it.
 
-    - `shared` (s,): the unknowns that no block owns, their `triangle`, and that `inverted`.
+    - `shared` (s,): the unknowns that no block owns, and their triangle, `inverted`.
     - `follows` (size, s): the derivative of all unknowns by these.
     - `own`: the unknowns of each block of views, and their triangle, inverted.
     - `owner` (size,): the number of the block that owns an unknown, -1 of shared ones.
@@ -88,7 +88,6 @@ class LinearSolution(NamedTuple):
 
     x: np.ndarray
     shared: np.ndarray
-    triangle: np.ndarray
     inverted: "Inverted"
     follows: np.ndarray
     own: dict[int, tuple[np.ndarray, "Inverted"]]
@@ -164,7 +163,7 @@ def solve(
     r = _triangle(reduced, shared, damping[shared])[: len(shared)]
     inverted = Inverted.of_triangle(r[:, :-1], sizes[shared], blind)
     x += follows @ (-inverted.back @ r[:, -1])
-    return LinearSolution(x, shared, r[:, :-1], inverted, follows, owns, owner, reduced, sizes)
+    return LinearSolution(x, shared, inverted, follows, owns, owner, reduced, sizes)
 
 
 def _triangle(parts: list[Rows], order: np.ndarray, damping: np.ndarray) -> np.ndarray:
