@@ -359,8 +359,7 @@ def _report(found: PointDescent, k: int, here: Minimum, beyond: np.ndarray) -> P
     view, freed, place = end.seen[k].view, matches.freed, problem.columns(k)
     labels, scale = labels_of(freed), view.scale
     reported = to_units(view.to_reported, freed, camera)
-    # (R by moves of this view, all others eliminated.)
-    triangle = np.linalg.pinv(known.root(place)) * scale
+    triangle = known.triangle_by(place) * scale
     # (As NumPy's: within `grad` JAX's would be traced, and no report could look at them.)
     along = np.linalg.lstsq(triangle.T, here.slope[place] * scale, rcond=None)[0]
     in_words = partial(moves_in_words, components(freed), axes_of(camera))

@@ -78,19 +78,21 @@ def blocks_of(views: list[list[int]], sizes: list[int]) -> np.ndarray:
 class LinearSolution(NamedTuple):
     """The least squares' x (size,), and what determines it.
 
-    - `shared` (s,): the unknowns that no block owns, and their triangle, `inverted`.
+    - `shared` (s,): the unknowns that no block owns, their `triangle`, and that `inverted`.
     - `follows` (size, s): the derivative of all unknowns by these.
-    - `own`: the unknowns of each block of views, and their triangle, inverted.
+    - `own`: the unknowns (m,) of each block of views, their triangle by these and the shared ones
+      (m, m + s), and the inverted part by these.
     - `owner` (size,): the number of the block that owns an unknown, -1 of shared ones.
     - `reduced`: the rows by shared unknowns that each block leaves.
-    - `sizes` (size,): how much each unknown shows, all others held.
+    - `sizes` (size,): how much each unknown shows, all others held; 1 of those that do not.
     """
 
     x: np.ndarray
     shared: np.ndarray
+    triangle: np.ndarray
     inverted: "Inverted"
     follows: np.ndarray
-    own: dict[int, tuple[np.ndarray, "Inverted"]]
+    own: dict[int, tuple[np.ndarray, np.ndarray, "Inverted"]]
     owner: np.ndarray
     reduced: list[Rows]
     sizes: np.ndarray
@@ -102,13 +104,21 @@ class LinearSolution(NamedTuple):
         result = self.follows[place] @ self.inverted.back
         if block < 0:
             return result
-        own, inverted = self.own[block]
+        own, _, inverted = self.own[block]
         return np.hstack([result, (place[:, None] == own) @ inverted.back])
+
+    def triangle_by(self, place: np.ndarray) -> np.ndarray:
+        """R of J = QR by the unknowns (p,) of a block and the shared ones, others eliminated."""
+        tables = [self.triangle @ (self.shared[:, None] == place)]
+        if (block := int(np.max(self.owner[place]))) >= 0:
+            own, rows, _ = self.own[block]
+            tables.insert(0, rows @ (np.append(own, self.shared)[:, None] == place))
+        return np.concatenate(tables)
 
     def unseen(self) -> np.ndarray:
         """Directions (size, d) of the unknowns that residuals do not see."""
         directions = [self.follows @ self.inverted.hidden]
-        for own, (_, hidden) in self.own.values():
+        for own, _, (_, hidden) in self.own.values():
             directions.append(np.zeros((len(self.x), hidden.shape[1])))
             directions[-1][own] = hidden
         found = np.hstack(directions)
@@ -128,11 +138,10 @@ class Inverted(NamedTuple):
     def of_triangle(cls, triangle: np.ndarray, sizes: np.ndarray, blind: float) -> "Inverted":
         """Hidden is what shows less than a share `blind` of the best-seen direction, in units in
         which unknowns show alike: by their `sizes`, as rounding alone may be left of a column."""
-        unit = np.where(sizes > 0, sizes, 1.0)
-        left, values, directions = np.linalg.svd(triangle / unit)
+        left, values, directions = np.linalg.svd(triangle / sizes)
         seen = values > max(blind, LEAST_SEEN) * np.max(values, initial=0)
-        back = directions[seen].T / values[seen] @ left[:, seen].T / unit[:, None]
-        hidden = directions[~seen] / unit
+        back = directions[seen].T / values[seen] @ left[:, seen].T / sizes[:, None]
+        hidden = directions[~seen] / sizes
         return cls(back, (hidden / np.linalg.norm(hidden, axis=1, keepdims=True)).T)
 
 
@@ -143,7 +152,8 @@ def solve(
     block eliminates the unknowns that it owns (-1: none does). No step is along directions that
     show less than a share `blind` of the best-seen one."""
     size, shared = len(owner), np.flatnonzero(owner < 0)
-    sizes = np.hypot(total(parts, size, lambda part: np.sum(part.rows**2, axis=0)) ** 0.5, damping)
+    sizes = (total(parts, size, lambda part: np.sum(part.rows**2, axis=0)) + damping**2) ** 0.5
+    sizes = np.where(sizes > 0, sizes, 1.0)
     blocks: dict[int, list[Rows]] = {}
     for k, part in enumerate(parts):
         block = int(np.max(owner[part.columns]))
@@ -157,13 +167,14 @@ def solve(
         reduced.append(Rows(r[m:, m:-1], r[m:, -1], shared))
         if m:
             inverted = Inverted.of_triangle(r[:m, :m], sizes[own], blind)
-            owns[block] = own, inverted
+            owns[block] = own, r[:m, :-1], inverted
             solved = -inverted.back @ r[:m, m:]
             follows[own], x[own] = solved[:, :-1], solved[:, -1]
     r = _triangle(reduced, shared, damping[shared])[: len(shared)]
-    inverted = Inverted.of_triangle(r[:, :-1], sizes[shared], blind)
+    triangle = r[:, :-1]
+    inverted = Inverted.of_triangle(triangle, sizes[shared], blind)
     x += follows @ (-inverted.back @ r[:, -1])
-    return LinearSolution(x, shared, inverted, follows, owns, owner, reduced, sizes)
+    return LinearSolution(x, shared, triangle, inverted, follows, owns, owner, reduced, sizes)
 
 
 def _triangle(parts: list[Rows], order: np.ndarray, damping: np.ndarray) -> np.ndarray:
