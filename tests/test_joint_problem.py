@@ -30,6 +30,10 @@ def test_elimination_and_its_covariances_equal_the_dense_ones():
         found, normal = solve(parts, owner, damping), matrix.T @ matrix + np.diag(damping**2)
         assert (found.shared.tolist(), len(found.own)) == ([6, 7, 8], 3)
         assert_allclose(normal @ found.x, -matrix.T @ left, atol=1e-11)
+        for place in map(np.array, ([0, 1, 6, 7, 8], [8, 5, 4, 7, 6])):
+            known = np.linalg.inv(found.triangle_by(place))
+            expected = np.linalg.inv(normal)[np.ix_(place, place)]
+            assert_allclose(known @ known.T, expected)
     # Gradients err as they do: each part's by a covariance of its own.
     errors = [random.normal(size=2 * [len(part.columns)]) for part in parts]
     errors = [x @ x.T for x in errors]

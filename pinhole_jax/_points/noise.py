@@ -71,7 +71,7 @@ def beyond_noise(solved: LinearSolution, views: int, noise: Noise) -> np.ndarray
     """
     from scipy.stats import f
 
-    back, pulls, shares, against = solved.inverted.back, [], [], []
+    back, pulls, shares, against = solved.back, [], [], []
     nothing = np.zeros_like(back)
     if not (nothing.size and 0 < noise.shown < np.inf and noise.freedom < np.inf):
         return nothing

@@ -78,10 +78,11 @@ def blocks_of(views: list[list[int]], sizes: list[int]) -> np.ndarray:
 class LinearSolution(NamedTuple):
     """The least squares' x (size,), and what determines it.
 
-    - `shared` (s,): the unknowns that no block owns, their `triangle`, and that `inverted`.
+    - `shared` (s,): the unknowns that no block owns, their `triangle`, its inverse `back`, and
+      the directions (s, d) that it has `hidden`.
     - `follows` (size, s): the derivative of all unknowns by these.
-    - `own`: the unknowns (m,) of each block of views, their triangle by these and the shared ones
-      (m, m + s), and the inverted part by these.
+    - `own`: the same of each block of views, whose triangle is by its unknowns (m,) and the shared
+      ones (m, m + s).
     - `owner` (size,): the number of the block that owns an unknown, -1 of shared ones.
     - `reduced`: the rows by shared unknowns that each block leaves.
     - `sizes` (size,): how much each unknown shows, all others held; 1 of those that do not.
@@ -90,9 +91,10 @@ class LinearSolution(NamedTuple):
     x: np.ndarray
     shared: np.ndarray
     triangle: np.ndarray
-    inverted: "Inverted"
+    back: np.ndarray
+    hidden: np.ndarray
     follows: np.ndarray
-    own: dict[int, tuple[np.ndarray, np.ndarray, "Inverted"]]
+    own: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]
     owner: np.ndarray
     reduced: list[Rows]
     sizes: np.ndarray
@@ -101,24 +103,24 @@ class LinearSolution(NamedTuple):
         """A root of the inverse of the normal matrix between unknowns (p,): it, times its
         transpose, is that, but for what other blocks than this (None: theirs) alone determine."""
         block = int(np.max(self.owner[place], initial=-1)) if block is None else block
-        result = self.follows[place] @ self.inverted.back
+        result = self.follows[place] @ self.back
         if block < 0:
             return result
-        own, _, inverted = self.own[block]
-        return np.hstack([result, (place[:, None] == own) @ inverted.back])
+        own, _, back, _ = self.own[block]
+        return np.hstack([result, (place[:, None] == own) @ back])
 
     def triangle_by(self, place: np.ndarray) -> np.ndarray:
         """R of J = QR by the unknowns (p,) of a block and the shared ones, others eliminated."""
         tables = [self.triangle @ (self.shared[:, None] == place)]
         if (block := int(np.max(self.owner[place]))) >= 0:
-            own, rows, _ = self.own[block]
+            own, rows, *_ = self.own[block]
             tables.insert(0, rows @ (np.append(own, self.shared)[:, None] == place))
         return np.concatenate(tables)
 
     def unseen(self) -> np.ndarray:
         """Directions (size, d) of the unknowns that residuals do not see."""
-        directions = [self.follows @ self.inverted.hidden]
-        for own, _, (_, hidden) in self.own.values():
+        directions = [self.follows @ self.hidden]
+        for own, _, _, hidden in self.own.values():
             directions.append(np.zeros((len(self.x), hidden.shape[1])))
             directions[-1][own] = hidden
         found = np.hstack(directions)
@@ -127,22 +129,19 @@ class LinearSolution(NamedTuple):
         return np.where(shown > ROUNDING * np.max(shown, axis=0, initial=0), found, 0)
 
 
-class Inverted(NamedTuple):
-    """The inverse of a triangle, `back`, but for directions (n, d), of length 1, that are `hidden`
-    from it."""
+def _inverted(
+    triangle: np.ndarray, sizes: np.ndarray, blind: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """The inverse of a triangle, but for directions (n, d), of length 1, that are hidden; these.
 
-    back: np.ndarray
-    hidden: np.ndarray
-
-    @classmethod
-    def of_triangle(cls, triangle: np.ndarray, sizes: np.ndarray, blind: float) -> "Inverted":
-        """Hidden is what shows less than a share `blind` of the best-seen direction, in units in
-        which unknowns show alike: by their `sizes`, as rounding alone may be left of a column."""
-        left, values, directions = np.linalg.svd(triangle / sizes)
-        seen = values > max(blind, LEAST_SEEN) * np.max(values, initial=0)
-        back = directions[seen].T / values[seen] @ left[:, seen].T / sizes[:, None]
-        hidden = directions[~seen] / sizes
-        return cls(back, (hidden / np.linalg.norm(hidden, axis=1, keepdims=True)).T)
+    Hidden is what shows less than a share `blind` of the best-seen direction, in units in which
+    unknowns show alike: by their `sizes`, as rounding alone may be left of a column.
+    """
+    left, values, directions = np.linalg.svd(triangle / sizes)
+    seen = values > max(blind, LEAST_SEEN) * np.max(values, initial=0)
+    back = directions[seen].T / values[seen] @ left[:, seen].T / sizes[:, None]
+    hidden = directions[~seen] / sizes
+    return back, (hidden / np.linalg.norm(hidden, axis=1, keepdims=True)).T
 
 
 def solve(
@@ -166,15 +165,15 @@ def solve(
         r, m = _triangle(some, np.append(own, shared), damping[own]), len(own)
         reduced.append(Rows(r[m:, m:-1], r[m:, -1], shared))
         if m:
-            inverted = Inverted.of_triangle(r[:m, :m], sizes[own], blind)
-            owns[block] = own, r[:m, :-1], inverted
-            solved = -inverted.back @ r[:m, m:]
+            back, hidden = _inverted(r[:m, :m], sizes[own], blind)
+            owns[block] = own, r[:m, :-1], back, hidden
+            solved = -back @ r[:m, m:]
             follows[own], x[own] = solved[:, :-1], solved[:, -1]
     r = _triangle(reduced, shared, damping[shared])[: len(shared)]
     triangle = r[:, :-1]
-    inverted = Inverted.of_triangle(triangle, sizes[shared], blind)
-    x += follows @ (-inverted.back @ r[:, -1])
-    return LinearSolution(x, shared, triangle, inverted, follows, owns, owner, reduced, sizes)
+    back, hidden = _inverted(triangle, sizes[shared], blind)
+    x += follows @ (-back @ r[:, -1])
+    return LinearSolution(x, shared, triangle, back, hidden, follows, owns, owner, reduced, sizes)
 
 
 def _triangle(parts: list[Rows], order: np.ndarray, damping: np.ndarray) -> np.ndarray:
