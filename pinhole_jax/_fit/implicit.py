@@ -1,9 +1,9 @@
 """A fit's answer as a function of the fit's inputs: the implicit function theorem.
 
-The fit ends where the gradient of all views' squares is 0, so a change of scene, target or weight
-moves it by minus the inverse of that gradient's derivative, times its change. These are second
-derivatives, which coverage does not have as a program: they are central differences of exact first
-ones. A single camera is a problem of one view; of points, the image is where they project.
+The fit ends where the gradient of all views' squares is 0. A change of scene, target or weight
+moves it by minus the inverse of that gradient's derivative, times the gradient's change. These are
+second derivatives, which coverage does not have as a program: they are central differences of exact
+first ones. A single camera is a problem of one view; of points, the image is where they project.
 """
 
 from collections.abc import Callable, Sequence

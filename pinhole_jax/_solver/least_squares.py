@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-#: Of a triangle what shows less than this share of the best-seen direction is rounding; a
-#: direction moves an unknown if that shows more than this share of what moves most.
+#: What shows less in a triangle than this share of the best-seen direction is rounding. A direction
+#: moves an unknown if that shows more than this share of the one that shows most.
 LEAST_SEEN, ROUNDING = 1e-15, 1e-6
 
 
