@@ -12,23 +12,29 @@ struct Film {
   double left, right, low, high;  // where contours are cut off, well outside the (ideal) film
   Lens lens;
 
-  // Homogeneous film point (x z, y z, z). Points nearer to the view point than to the eye are
-  // placed from there: an object that is looked at from afar keeps its digits.
-  Vec3 at(Vec3 p) const {
+  // How a point is reached from the eye; from the view point (`there`) if that is nearer: an object
+  // that is looked at from afar keeps its digits.
+  Vec3 way_to(Vec3 p, bool& there) const {
     const Vec3 from_eye = p - eye, from_view = p - view;
-    const bool there = largest(from_view) < largest(from_eye);
-    const Vec3 h = turn(there ? from_view : from_eye);
+    there = largest(from_view) < largest(from_eye);
+    return there ? from_view : from_eye;
+  }
+  // Homogeneous film point (x z, y z, z).
+  Vec3 at(Vec3 p) const {
+    bool there;
+    const Vec3 h = turn(way_to(p, there));
     return there ? h + base : h;
   }
   Vec3 turn(Vec3 d) const { return {dot(row[0], d), dot(row[1], d), dot(row[2], d)}; }
 };
 
-// `n`: eye, view, three rows, base. `lens`: what the lens's model needs, then its trusted radius.
+// The film of numbers (eye, view, three rows, base), or their changes, as yet without size and lens.
+inline Film film_of(const Numbers& n) {
+  return {n.point(0), n.point(1), n.point(5), {n.point(2), n.point(3), n.point(4)}};
+}
+// `lens`: what the lens's model needs, then its trusted radius.
 inline Film film_of(const Numbers& n, const Numbers& lens, Model model, int W, int H) {
-  Film f;
-  f.eye = n.point(0), f.view = n.point(1);
-  for (int k = 0; k < 3; ++k) f.row[k] = n.point(2 + k);
-  f.base = n.point(5);
+  Film f = film_of(n);
   f.W = W, f.H = H;
   f.left = -W, f.right = 2.0 * W, f.low = -H, f.high = 2.0 * H;
   f.lens.model = model;
@@ -126,10 +132,8 @@ inline double height_of_crossing(double past0, double past1, const Spot spots[2]
 inline void set_shares(End& end, const Vec3 ends[2], const double scale[2]) {
   const Vec3 a = ends[0], b = ends[1];
   const bool steep = std::abs(a.y * b.z - a.z * b.y) > std::abs(a.z * b.x - a.x * b.z);
-  const double x = end.ideal.x, y = end.ideal.y;
-  const double pa = steep ? a.y - y * a.z : a.x - x * a.z;
-  const double pb = steep ? b.y - y * b.z : b.x - x * b.z;
-  const double t = std::clamp(ratio(pa, pa - pb), 0.0, 1.0);
+  const auto past = [&](Vec3 h) { return h[steep] - end.ideal[steep] * h.z; };
+  const double t = std::clamp(ratio(past(a), past(a) - past(b)), 0.0, 1.0);
   const double z = a.z + t * (b.z - a.z);
   end.share[0] = ratio(1 - t, z) * scale[0];
   end.share[1] = ratio(t, z) * scale[1];
@@ -177,13 +181,7 @@ void add_parts(const Film& film, Curve c, EndAt end_at, int samples, std::vector
 
 // Adds what lies left of the film, as an upright there. It shows nowhere and moves nothing.
 inline void add_beside(const Film& film, Curve c, const double y[2], std::vector<Curve>& out) {
-  const bool bends = film.lens.model != Model::none;
-  End* const of[2] = {&c.tail, &c.head};
-  for (int k = 0; k < 2; ++k) {
-    *of[k] = End();
-    const Vec2 place{film.left, y[k]};
-    of[k]->point = bends ? bent(film.lens, place) : place;
-  }
+  c.tail = {bent(film.lens, {film.left, y[0]})}, c.head = {bent(film.lens, {film.left, y[1]})};
   out.push_back(c);
 }
 
@@ -250,7 +248,7 @@ inline int layers_on_the_left(const MeshData& m, const Film& film, const std::ve
     const Vec3 h = film.at(m.vertices.point(v));
     points[v] = scale_of(h) * h;
   }
-  int crossings = 0, fronts = 0, both = 0;
+  int crossings = 0, fronts = 0;
   for (int64_t f = 0; f < m.F; ++f) {
     const int32_t* corners = m.faces + 3 * f;
     if (!(within(corners[0], m.V) && within(corners[1], m.V) && within(corners[2], m.V))) continue;
@@ -267,9 +265,8 @@ inline int layers_on_the_left(const MeshData& m, const Film& film, const std::ve
     const int orientation = met ? (signs > 0 ? -1 : 1) : 0;
     crossings += orientation;
     fronts += front[f] ? orientation : 0;
-    both += front[f] ? orientation : -orientation;
   }
-  return closed ? fronts + (crossings != 0 ? kEverywhere : 0) : both;
+  return closed ? fronts + (crossings != 0 ? kEverywhere : 0) : 2 * fronts - crossings;
 }
 
 // --- a mesh ---------------------------------------------------------------------------------------
@@ -333,33 +330,26 @@ inline Vec2 arc_end(const Frame& f, Vec2 w, int inward) {
   const double tiny = 64 * std::numeric_limits<double>::epsilon();
   if (p.z > tiny) return {p.x / p.z, p.y / p.z};
   const Vec3 change = double(inward) * (w.x * f.row[2] - w.y * f.row[1]);
-  const auto far = [&](double value, double next, double most) {
-    return std::copysign(kFar, std::abs(value) <= tiny * most ? next : value);
+  const auto far = [&](int axis) {
+    double most = 0;
+    for (const Vec3& row : f.row) most = std::max(most, std::abs(row[axis]));
+    return std::copysign(kFar, std::abs(p[axis]) <= tiny * most ? change[axis] : p[axis]);
   };
-  const double mx = std::max({std::abs(f.row[0].x), std::abs(f.row[1].x), std::abs(f.row[2].x)});
-  const double my = std::max({std::abs(f.row[0].y), std::abs(f.row[1].y), std::abs(f.row[2].y)});
-  return {far(p.x, change.x, mx), far(p.y, change.y, my)};
+  return {far(0), far(1)};
 }
 
 // Where a conic is level or upright, and where it meets the plane through the eye, by angle.
 inline int turning_points(const Frame& f, Vec2 points[6]) {
   const Vec3 *r = f.row;
-  const auto minor = [&](int k, int m, bool y) {
-    return (y ? r[k].y : r[k].x) * r[m].z - (y ? r[m].y : r[m].x) * r[k].z;
+  const auto turns = [&](int axis) {
+    const auto minor = [&](int k, int m) { return r[k][axis] * r[m].z - r[m][axis] * r[k].z; };
+    return Vec3{minor(2, 1), minor(2, 0), minor(0, 1)};
   };
-  const Vec3 levels[3] = {{r[0].z, r[1].z, r[2].z},
-                          {minor(2, 1, false), minor(2, 0, false), minor(0, 1, false)},
-                          {minor(2, 1, true), minor(2, 0, true), minor(0, 1, true)}};
   int n = 0;
-  for (int k = 0; k < 3; ++k) {
-    const Vec3 l = levels[k];
+  for (const Vec3 l : {Vec3{r[0].z, r[1].z, r[2].z}, turns(0), turns(1)}) {
     const bool exists = std::abs(l.x) < std::sqrt(l.y * l.y + l.z * l.z);
-    if (exists) {
-      points[n++] = cut_circle(l, 1);
-      points[n++] = cut_circle(l, -1);
-    } else if (k == 0) {
-      points[n++] = cut_circle(l, 1);
-    }
+    if (exists || n == 0) points[n++] = cut_circle(l, 1);
+    if (exists) points[n++] = cut_circle(l, -1);
   }
   std::sort(points, points + n, [](Vec2 a, Vec2 b) { return std::atan2(a.y, a.x) < std::atan2(b.y, b.x); });
   return n;
@@ -380,12 +370,11 @@ inline void add_bent_arc(const Film& film, const Frame& frame, Curve c, Vec2 sta
   Vec2 last = end;
   bool beside = false;
   for (int axis = 0; axis < 2; ++axis) {
-    const auto along = [&](Vec2 p) { return axis ? p.y : p.x; };
-    const double grows = along(ends[1]) >= along(ends[0]) ? 1 : -1;
+    const double grows = ends[1][axis] >= ends[0][axis] ? 1 : -1;
     for (int side : {-1, 1}) {
       const double value = axis ? (side < 0 ? film.low : film.high) : (side < 0 ? film.left : film.right);
-      const Vec2 w = axis ? unit_at_y(frame, value, grows) : unit_at_x(frame, value, grows);
-      const bool out_first = side * (along(ends[0]) - value) > 0, out_last = side * (along(ends[1]) - value) > 0;
+      const Vec2 w = unit_at(frame, axis, value, grows);
+      const bool out_first = side * (ends[0][axis] - value) > 0, out_last = side * (ends[1][axis] - value) > 0;
       const double cut = std::clamp(turn_between(start, w), 0.0, whole);
       if (axis == 0 && side < 0) {
         const double y = film_point(frame.at(w)).y;
@@ -421,7 +410,7 @@ inline void add_sphere(const Film& film, const Frame& frame, int32_t number, std
   for (int k = 0; k < n; ++k) {
     const Vec2 a = points[k], b = points[(k + 1) % n];
     Vec2 middle{b.y - a.y, a.x - b.x};
-    const double size = std::hypot(middle.x, middle.y);
+    const double size = norm(middle);
     if (n > 1 && !(size > 0)) continue;
     middle = n > 1 ? (1 / size) * middle : Vec2{-a.x, -a.y};
     if (!(frame.at(middle).z > 0)) continue;

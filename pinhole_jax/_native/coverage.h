@@ -138,8 +138,7 @@ class Pixel {
       if (p.left) mean += p.left * (1 - p.left_y());
       mean += p.jump * dy * (1 - (p.x0 + p.x1) / 2);
       if (const Frame* f = curve(p).frame) {
-        const Vec2 o{double(column), double(row)};
-        mean -= p.jump * bulge(*f, o + Vec2{p.x0, p.y0}, o + Vec2{p.x1, p.y1});
+        mean -= p.jump * bulge(*f, origin() + Vec2{p.x0, p.y0}, origin() + Vec2{p.x1, p.y1});
       }
       layers += std::abs(p.jump);
       single = single && std::abs(p.jump) == 1;
@@ -162,15 +161,6 @@ class Pixel {
   static constexpr size_t kFew = 14;
   static constexpr int kDeepest = 24, kBarren = 5;
 
-  struct Line {
-    double u0, v0, u1, v1, slope;
-    int jump;                // going up in v
-    const Piece* piece;
-    const Frame* frame;
-    double growing;          // of an arc: 1 where u grows along it
-    double extent = 0, moment = 0;
-    int arc = -1;            // its place in `fluxes_`
-  };
   struct Step {
     double u;
     int layers;
@@ -191,12 +181,18 @@ class Pixel {
       return box;
     }
   };
-  struct Bar {  // the part of a line in a cell
-    double u0, u1, v0, v1, slope;
-    int line, jump;
+  struct Bar {  // a line, or the part of it in a cell
+    double u0, v0, u1, v1, slope;
+    int line, jump;          // going up in v
     double at(double u) const { return v0 + (u - u0) * slope; }
     double lower() const { return std::min(v0, v1); }
     double upper() const { return std::max(v0, v1); }
+  };
+  struct Line : Bar {
+    const Piece* piece;
+    const Frame* frame;
+    double growing;          // of an arc: 1 where u grows along it
+    double extent = 0, moment = 0;
   };
   struct Cell {  // a part of the pixel
     Box box;
@@ -232,23 +228,23 @@ class Pixel {
     return sum;
   }
   const Monotone& curve(const Piece& p) const { return all_.curves[p.curve]; }
-  double film(bool upward, double u) const { return u + (upward ? row_ : column_); }
+  // The pixel's lower left corner.
+  Vec2 origin() const { return {double(column_), double(row_)}; }
+  // The film's coordinate along the sweep, or across it.
+  double film_u(double u) const { return u + origin()[upward_]; }
+  double film_v(double v) const { return v + origin()[!upward_]; }
 
   void show_all() {
     for (int k = 0; k < n_; ++k) {
       const Piece& p = piece(k);
       const Monotone& m = curve(p);
       if (m.frame) {
-        const Vec2 o{double(column_), double(row_)};
-        Vec2 w0 = unit_of(*m.frame, o + Vec2{p.x0, p.y0}), w1 = unit_of(*m.frame, o + Vec2{p.x1, p.y1});
-        if (m.rising < 0) std::swap(w0, w1);
-        VisibleArc v{p.curve, index_, {}};
-        arc_flux(*m.frame, w0, w1, 1, v.flux);
-        seen_->arcs.push_back(v);
+        const Vec2 low = origin() + Vec2{p.x0, p.y0}, high = origin() + Vec2{p.x1, p.y1};
+        see_arc(p, unit_of(*m.frame, low), unit_of(*m.frame, high), m.rising);
       } else {
         const bool steep = m.steep();
         const double extent = steep ? -p.jump * (p.y1 - p.y0) : -p.up() * std::abs(p.x1 - p.x0);
-        const double middle = film(steep, steep ? (p.y0 + p.y1) / 2 : (p.x0 + p.x1) / 2);
+        const double middle = origin()[steep] + (steep ? (p.y0 + p.y1) / 2 : (p.x0 + p.x1) / 2);
         if (extent != 0) seen_->straight.push_back({p.curve, index_, extent, extent * middle});
       }
     }
@@ -265,16 +261,16 @@ class Pixel {
     return curve(p).frame ? p.y1 - p.y0 > std::abs(p.x1 - p.x0) : curve(p).steep();
   }
 
-  void lines_of(bool upward) {
-    lines_.clear(), steps_.clear(), fluxes_.clear();
+  void find_lines() {
+    lines_.clear(), steps_.clear();
     has_arcs_ = false;
     for (int k = 0; k < n_; ++k) {
       const Piece& p = piece(k);
       const Monotone& m = curve(p);
       Line l;
-      l.piece = &p, l.frame = m.frame;
+      l.line = k, l.piece = &p, l.frame = m.frame;
       has_arcs_ = has_arcs_ || m.frame;
-      if (upward) {
+      if (upward_) {
         l.u0 = p.y0, l.v0 = p.x0, l.u1 = p.y1, l.v1 = p.x1, l.jump = p.jump, l.growing = m.rising;
         if (p.left) steps_.push_back({p.left_y(), p.left});
       } else {
@@ -289,17 +285,16 @@ class Pixel {
         }
       }
       l.slope = ratio(l.v1 - l.v0, l.u1 - l.u0);
-      if (l.frame && seen_) l.arc = int(fluxes_.size()), fluxes_.push_back({});
       lines_.push_back(l);
     }
   }
 
-  void add_crossing(const Bar& a, const Bar& b, bool upward, const Box& box) {
+  void add_crossing(const Bar& a, const Bar& b, const Box& box) {
     if (has_arcs_) {
       const Line &one = lines_[a.line], &other = lines_[b.line];
       if (one.frame || other.frame) {
         const double low = std::max({one.u0, other.u0, box.from}), high = std::min({one.u1, other.u1, box.to});
-        return add_arc_crossing(one, other, low, high, upward);
+        return add_arc_crossing(one, other, low, high);
       }
     }
     const double low = std::max(a.u0, b.u0), high = std::min(a.u1, b.u1);
@@ -312,15 +307,14 @@ class Pixel {
 
   // An arc meets a line where the line cuts its circle, and another arc on a line as well: both
   // cones hold the rays whose products with the two axes are in the cosines' ratio.
-  void add_arc_crossing(const Line& a, const Line& b, double low, double high, bool upward) {
+  void add_arc_crossing(const Line& a, const Line& b, double low, double high) {
     const Line& arc = a.frame ? a : b;
     const Line& other = a.frame ? b : a;
-    const Vec3 met = other.frame ? axis_of(*arc.frame) - axis_of(*other.frame) : through(other, upward);
+    const Vec3 met = other.frame ? axis_of(*arc.frame) - axis_of(*other.frame) : through(other);
     const Frame& f = *arc.frame;
     const Vec3 level{dot(met, f.row[0]), dot(met, f.row[1]), dot(met, f.row[2])};
     for (double growing : {1.0, -1.0}) {
-      const Vec2 p = film_point(f.at(cut_circle(level, growing)));
-      const double u = upward ? p.y - row_ : p.x - column_;
+      const double u = film_point(f.at(cut_circle(level, growing)))[upward_] - origin()[upward_];
       if (u > low && u < high) halts_.push_back(u);
     }
   }
@@ -330,49 +324,39 @@ class Pixel {
     return ratio(1, dot(n, f.row[0])) * n;
   }
   // The homogeneous line (film coordinates) of a straight piece.
-  Vec3 through(const Line& l, bool upward) const {
-    const Vec3 o{double(column_), double(row_), 0};
-    const Vec3 a = upward ? Vec3{l.v0, l.u0, 1} : Vec3{l.u0, l.v0, 1};
-    const Vec3 b = upward ? Vec3{l.v1, l.u1, 1} : Vec3{l.u1, l.v1, 1};
-    return cross(a + o, b + o);
+  Vec3 through(const Line& l) const {
+    const auto on_film = [&](double u, double v) {
+      return upward_ ? Vec3{film_v(v), film_u(u), 1} : Vec3{film_u(u), film_v(v), 1};
+    };
+    return cross(on_film(l.u0, l.v0), on_film(l.u1, l.v1));
   }
 
-  Vec2 unit_at(const Line& l, bool upward, double u) const {
-    return upward ? unit_at_y(*l.frame, film(true, u), l.growing)
-                  : unit_at_x(*l.frame, film(false, u), l.growing);
-  }
+  Vec2 unit_of_line(const Line& l, double u) const { return unit_at(*l.frame, upward_, film_u(u), l.growing); }
 
-  double height_at(const Line& l, bool upward, double u) const {
-    if (l.frame) {
-      const Vec2 p = film_point(l.frame->at(unit_at(l, upward, u)));
-      return clamp_between(upward ? p.x - column_ : p.y - row_, l.v0, l.v1);
-    }
-    return clamp_between(l.v0 + (u - l.u0) * l.slope, l.v0, l.v1);
+  double height_at(const Line& l, double u) const {
+    const double v = l.frame ? film_point(l.frame->at(unit_of_line(l, u)))[!upward_] - origin()[!upward_] : l.at(u);
+    return clamp_between(v, l.v0, l.v1);
   }
 
   // Where a line is this high.
-  double place_at(const Line& l, bool upward, double v) const {
+  double place_at(const Line& l, double v) const {
     if (!l.frame) return l.u0 + ratio(v - l.v0, l.slope);
     const Monotone& m = curve(*l.piece);
-    const Vec2 w = upward ? unit_at_x(*l.frame, film(false, v), m.rising * m.rightward)
-                          : unit_at_y(*l.frame, film(true, v), m.rising);
-    const Vec2 p = film_point(l.frame->at(w));
-    return upward ? p.y - row_ : p.x - column_;
+    const Vec2 w = unit_at(*l.frame, !upward_, film_v(v), upward_ ? m.rising * m.rightward : m.rising);
+    return film_point(l.frame->at(w))[upward_] - origin()[upward_];
   }
 
   // The covered area under a line that moves right (or `upward`: then only what is seen counts).
   double sweep(bool upward) {
-    lines_of(upward);
+    upward_ = upward;
+    find_lines();
     cells_.resize(kDeepest + 1);
     Cell& whole = cells_[0];
     whole.begin({0, 1, 0, 1}, corner_);
     for (const Step& s : steps_) whole.add(s);
-    for (int k = 0; k < int(lines_.size()); ++k) {
-      const Line& l = lines_[k];
-      whole.add(Bar{l.u0, l.u1, l.v0, l.v1, l.slope, k, l.jump});
-    }
-    const double area = within(0, 0, upward);
-    if (seen_) collect(upward);
+    for (const Line& l : lines_) whole.add(l);
+    const double area = within(0, 0);
+    if (seen_) collect();
     return area;
   }
 
@@ -380,18 +364,18 @@ class Pixel {
   // a place grows as the square of how many meet there: a crowded cell is halved, twice across, then
   // along, and one that nothing can uncover is passed over. Where halves are about as crowded (a fan)
   // a few times in turn, it is swept as it is.
-  double within(int depth, int barren, bool upward) {
+  double within(int depth, int barren) {
     const Cell& cell = cells_[depth];
     if (cell.first + cell.drops > 0) return cell.box.width() * cell.box.height();
     const size_t count = cell.bars.size();
-    if (count <= kFew || depth == kDeepest || barren > kBarren) return swept(cell, upward);
+    if (count <= kFew || depth == kDeepest || barren > kBarren) return swept(cell);
     const bool along = better_along(cell, depth % 3 == 2);
     double area = 0;
     for (const bool second : {false, true}) {
       Cell& half = cells_[depth + 1];
       half.begin(cell.box.half(along, second), cell);
-      along ? part_along(cell, second, upward, half) : part_across(cell, second, upward, half);
-      area += within(depth + 1, 4 * half.bars.size() > 3 * count ? barren + 1 : 0, upward);
+      along ? part_along(cell, second, half) : part_across(cell, second, half);
+      area += within(depth + 1, 4 * half.bars.size() > 3 * count ? barren + 1 : 0);
     }
     return area;
   }
@@ -408,25 +392,25 @@ class Pixel {
     return 4 * along < across || (in_turn && along < 4 * across);
   }
 
-  void part_across(const Cell& cell, bool second, bool upward, Cell& half) const {
+  void part_across(const Cell& cell, bool second, Cell& half) const {
     const double middle = cell.box.u();
     for (Bar bar : cell.bars) {
       if (bar.u0 < middle && middle < bar.u1) {
         (second ? bar.u0 : bar.u1) = middle;
-        (second ? bar.v0 : bar.v1) = height_at(lines_[bar.line], upward, middle);
+        (second ? bar.v0 : bar.v1) = height_at(lines_[bar.line], middle);
       }
       if (second ? bar.u0 >= middle : bar.u1 <= middle) half.add(bar);
     }
   }
 
   // What lies below a cell counts as steps of its lower side.
-  void part_along(const Cell& cell, bool second, bool upward, Cell& half) const {
+  void part_along(const Cell& cell, bool second, Cell& half) const {
     const double middle = cell.box.v();
     for (const Bar& bar : cell.bars) {
       Bar below = bar, above = bar;
       const bool rises = bar.v0 < middle, falls = bar.v1 < middle;
       if (rises != falls) {
-        const double u = std::clamp(place_at(lines_[bar.line], upward, middle), bar.u0, bar.u1);
+        const double u = std::clamp(place_at(lines_[bar.line], middle), bar.u0, bar.u1);
         (rises ? below.u1 : below.u0) = (rises ? above.u0 : above.u1) = u;
         (rises ? below.v1 : below.v0) = (rises ? above.v0 : above.v1) = middle;
       }
@@ -438,7 +422,7 @@ class Pixel {
     }
   }
 
-  double swept(const Cell& cell, bool upward) {
+  double swept(const Cell& cell) {
     const Box& box = cell.box;
     halts_.assign({box.from, box.to});
     const auto halt = [&](double u) { if (u > box.from && u < box.to) halts_.push_back(u); };
@@ -449,7 +433,7 @@ class Pixel {
       for (size_t j = i + 1; j < cell.bars.size(); ++j) {
         const Bar& b = cell.bars[j];
         if (!has_arcs_ && (a.lower() >= b.upper() || b.lower() >= a.upper())) continue;
-        add_crossing(a, b, upward, box);
+        add_crossing(a, b, box);
       }
     }
     std::sort(halts_.begin(), halts_.end());
@@ -462,19 +446,19 @@ class Pixel {
       const double from = halts_[k], to = halts_[k + 1];
       if (!(to > from)) continue;
       for (; passed < sorted_.size() && sorted_[passed].u <= from; ++passed) bottom += sorted_[passed].layers;
-      area += strip(cell, bottom, upward, from, to);
+      area += strip(cell, bottom, from, to);
     }
     return area;
   }
 
-  double strip(const Cell& cell, int bottom, bool upward, double from, double to) {
+  double strip(const Cell& cell, int bottom, double from, double to) {
     const double middle = (from + to) / 2, width = to - from;
     if (met_.size() < cell.bars.size()) met_.resize(cell.bars.size());
     Met* const met = met_.data();
     size_t count = 0;
     for (const Bar& bar : cell.bars) {
       if (!(bar.u0 <= middle && middle < bar.u1)) continue;
-      const double v = has_arcs_ ? height_at(lines_[bar.line], upward, middle) : bar.at(middle);
+      const double v = has_arcs_ ? height_at(lines_[bar.line], middle) : bar.at(middle);
       size_t at = count++;
       for (; at > 0 && met[at - 1].v > v; --at) met[at] = met[at - 1];
       met[at] = {v, bar.line, bar.jump};
@@ -487,39 +471,34 @@ class Pixel {
       if (below == above) continue;
       Line& l = lines_[m.line];
       const int change = above ? 1 : -1;
-      under += change * (l.frame && !upward ? area_under(l, from, to) : m.v * width);
+      under += change * (l.frame && !upward_ ? area_under(l, from, to) : m.v * width);
       if (!seen_) continue;
-      l.extent -= change * width, l.moment -= change * width * film(upward, middle);
-      if (l.frame) see_arc(l, upward, from, to);
+      l.extent -= change * width, l.moment -= change * width * film_u(middle);
+      if (l.frame && needs_upward(*l.piece) == upward_)
+        see_arc(*l.piece, unit_of_line(l, from), unit_of_line(l, to), l.growing);
     }
     return (layers > 0) * cell.box.high * width - under;
   }
 
   double area_under(const Line& l, double from, double to) const {
     double area = 0;
-    along_arc(*l.frame, unit_at(l, false, from), unit_at(l, false, to),
+    along_arc(*l.frame, unit_of_line(l, from), unit_of_line(l, to),
               [&](Vec2, Vec2 p, Vec2 slope, double, double q) { area += q * (p.y - row_) * slope.x; });
     return area;
   }
 
-  void see_arc(Line& l, bool upward, double from, double to) {
-    if (needs_upward(*l.piece) != upward) return;
-    Vec2 w0 = unit_at(l, upward, from), w1 = unit_at(l, upward, to);
-    if (l.growing < 0) std::swap(w0, w1);
-    arc_flux(*l.frame, w0, w1, 1, fluxes_[l.arc].flux);
+  // The arc runs from w0 to w1 if `growing` is 1, else back.
+  void see_arc(const Piece& p, Vec2 w0, Vec2 w1, double growing) {
+    if (growing < 0) std::swap(w0, w1);
+    VisibleArc v{p.curve, index_, {}};
+    arc_flux(*curve(p).frame, w0, w1, v.flux);
+    seen_->arcs.push_back(v);
   }
 
-  void collect(bool upward) {
-    for (const Line& l : lines_) {
-      if (needs_upward(*l.piece) != upward || (l.extent == 0 && l.moment == 0)) continue;
-      if (l.frame) {
-        VisibleArc v = fluxes_[l.arc];
-        v.curve = l.piece->curve, v.pixel = index_;
-        seen_->arcs.push_back(v);
-      } else {
+  void collect() {
+    for (const Line& l : lines_)
+      if (!l.frame && needs_upward(*l.piece) == upward_ && (l.extent != 0 || l.moment != 0))
         seen_->straight.push_back({l.piece->curve, index_, l.extent, l.moment});
-      }
-    }
   }
 
   const Pieces& all_;
@@ -528,12 +507,11 @@ class Pixel {
   int64_t index_ = 0;
   const int32_t* some_ = nullptr;
   std::vector<Line> lines_;
-  std::vector<VisibleArc> fluxes_;
   std::vector<Step> steps_;
   std::vector<Cell> cells_;  // one of each depth
   std::vector<double> halts_;
   std::vector<Step> sorted_;
-  bool has_arcs_ = false;
+  bool has_arcs_ = false, upward_ = false;
   std::vector<Met> met_;
 };
 

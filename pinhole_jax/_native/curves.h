@@ -70,20 +70,21 @@ inline Vec2 cut_circle(Vec3 level, double growing) {
   return {x * b + y * root, y * b - x * root};
 }
 
-inline Vec2 unit_at_x(const Frame& f, double x, double growing) {
-  return cut_circle({f.row[0].x - x * f.row[0].z, f.row[1].x - x * f.row[1].z,
-                     f.row[2].x - x * f.row[2].z}, growing);
+// The rows' coordinates number `axis` (0: x, 1: y) past a value, times z.
+inline Vec3 past(const Frame& f, int axis, double value) {
+  const auto row = [&](Vec3 r) { return r[axis] - value * r.z; };
+  return {row(f.row[0]), row(f.row[1]), row(f.row[2])};
 }
-inline Vec2 unit_at_y(const Frame& f, double y, double growing) {
-  return cut_circle({f.row[0].y - y * f.row[0].z, f.row[1].y - y * f.row[1].z,
-                     f.row[2].y - y * f.row[2].z}, growing);
+
+// The w whose film point has this coordinate, where it grows along the arc or falls.
+inline Vec2 unit_at(const Frame& f, int axis, double value, double growing) {
+  return cut_circle(past(f, axis, value), growing);
 }
 
 // The w of a film point that lies on the conic.
 inline Vec2 unit_of(const Frame& f, Vec2 p) {
-  const Vec2 c{f.row[0].x - p.x * f.row[0].z, f.row[0].y - p.y * f.row[0].z};
-  const Vec2 a{f.row[1].x - p.x * f.row[1].z, f.row[1].y - p.y * f.row[1].z};
-  const Vec2 b{f.row[2].x - p.x * f.row[2].z, f.row[2].y - p.y * f.row[2].z};
+  const Vec3 x = past(f, 0, p.x), y = past(f, 1, p.y);
+  const Vec2 c{x[0], y[0]}, a{x[1], y[1]}, b{x[2], y[2]};
   const double det = a.x * b.y - a.y * b.x;
   const Vec2 w{ratio(b.x * c.y - b.y * c.x, det), ratio(a.y * c.x - a.x * c.y, det)};
   const double length = std::sqrt(w.x * w.x + w.y * w.y);
@@ -129,16 +130,12 @@ inline double bulge(const Frame& f, Vec2 start, Vec2 end) {
 }
 
 // The derivative, by the frame's nine numbers, of the area on the left of the arc from w0 to w1.
-inline void arc_flux(const Frame& f, Vec2 w0, Vec2 w1, double scale, double flux[9]) {
+inline void arc_flux(const Frame& f, Vec2 w0, Vec2 w1, double flux[9]) {
   along_arc(f, w0, w1, [&](Vec2 w, Vec2 p, Vec2 slope, double z, double q) {
     const double nx = slope.y, ny = -slope.x;
-    const Vec3 normal = ratio(q * scale, z) * Vec3{nx, ny, -(p.x * nx + p.y * ny)};
+    const Vec3 normal = ratio(q, z) * Vec3{nx, ny, -(p.x * nx + p.y * ny)};
     const double basis[3] = {1, w.x, w.y};
-    for (int k = 0; k < 3; ++k) {
-      flux[3 * k] += basis[k] * normal.x;
-      flux[3 * k + 1] += basis[k] * normal.y;
-      flux[3 * k + 2] += basis[k] * normal.z;
-    }
+    for (int k = 0; k < 9; ++k) flux[k] += basis[k / 3] * normal[k % 3];
   });
 }
 
@@ -150,23 +147,15 @@ inline double clamp_between(double x, double a, double b) {
 inline double x_at(const Monotone& m, double y) {
   if (y <= m.low.y) return m.low.x;
   if (y >= m.high.y) return m.high.x;
-  double x;
-  if (m.frame) {
-    x = film_point(m.frame->at(unit_at_y(*m.frame, y, m.rising))).x;
-  } else {
-    x = m.low.x + (y - m.low.y) * ratio(m.width(), m.height());
-  }
+  const double x = m.frame ? film_point(m.frame->at(unit_at(*m.frame, 1, y, m.rising))).x
+                           : m.low.x + (y - m.low.y) * ratio(m.width(), m.height());
   return clamp_between(x, m.low.x, m.high.x);
 }
 
 // The height at abscissa x, within a stretch from (x0, y0) to (x1, y1) of the curve.
 inline double y_at(const Monotone& m, double x, double x0, double y0, double x1, double y1) {
-  double y;
-  if (m.frame) {
-    y = film_point(m.frame->at(unit_at_x(*m.frame, x, m.rising * m.rightward))).y;
-  } else {
-    y = y0 + (x - x0) * ratio(y1 - y0, x1 - x0);
-  }
+  const double y = m.frame ? film_point(m.frame->at(unit_at(*m.frame, 0, x, m.rising * m.rightward))).y
+                           : y0 + (x - x0) * ratio(y1 - y0, x1 - x0);
   return std::clamp(y, y0, y1);
 }
 

@@ -11,6 +11,7 @@ namespace pinhole {
 
 struct Vec2 {
   double x = 0, y = 0;
+  double operator[](int axis) const { return axis ? y : x; }
 };
 inline Vec2 operator+(Vec2 a, Vec2 b) { return {a.x + b.x, a.y + b.y}; }
 inline Vec2 operator-(Vec2 a, Vec2 b) { return {a.x - b.x, a.y - b.y}; }
@@ -20,6 +21,7 @@ inline double norm(Vec2 a) { return std::hypot(a.x, a.y); }
 
 struct Vec3 {
   double x = 0, y = 0, z = 0;
+  double operator[](int axis) const { return axis == 0 ? x : axis == 1 ? y : z; }
 };
 inline Vec3 operator+(Vec3 a, Vec3 b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
 inline Vec3 operator-(Vec3 a, Vec3 b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }

@@ -1,6 +1,6 @@
 // The calls that JAX makes (`jax.ffi`): a silhouette (`image`) of one view or a batch, its push and
-// pull; a fit's `look`; what rays meet (`walk`). And those that Python makes for the pixels of a look,
-// by `ctypes`.
+// pull; a fit's `look`; what rays meet (`walk`). And those that Python makes for tables of a look, by
+// `ctypes`.
 #include "frames.h"
 #include "look.h"
 #include "trees.h"
@@ -60,7 +60,7 @@ class Views {
   }
 
   // What is not of finite numbers is an empty view.
-  Film film() const { return sound_ ? film_of(numbers(0), numbers(1), model_, W, H) : empty(); }
+  Film film() const { return sound_ ? film_of(numbers(0), numbers(1), model_, W, H) : Film{{}, {}, {}, {}, W, H}; }
   Scene seen_scene() const { return sound_ ? scene : Scene{}; }
 
   template <class Sink>
@@ -72,11 +72,6 @@ class Views {
   int W = 0, H = 0;
 
  private:
-  Film empty() const {
-    Film film;
-    film.W = W, film.H = H;
-    return film;
-  }
   Numbers numbers(int k) const { return given_[k].numbers(entries_[k]); }
   const int32_t* integers(int k) const { return given_[k].integers(entries_[k]); }
 
@@ -249,37 +244,29 @@ PINHOLE_CALL(pinhole_image_pull, pull_all)
 PINHOLE_CALL(pinhole_look, take_look)
 PINHOLE_CALL(pinhole_walk, walk_all)
 
-// The pixels of a look, for Python: how many there are, then arrays of that length, once.
-PINHOLE_HANDLER void* pinhole_pixels(void* const* arguments, int64_t model, int64_t* number, uint8_t* before) {
+// Tables of a look, for Python: how many numbers there are, then these, once. Of the pixels that an
+// outline touches: whether rows begin covered, then cells, coverage, whether the pixels that follow
+// are covered, weights, residuals and derivatives (n, P). Or the `outline` that the look shows.
+PINHOLE_HANDLER void* pinhole_table(void* const* arguments, int64_t model, int64_t outline, int64_t* number) {
   try {
-    auto* look = new Look(look_of(arguments, model));
-    *number = int64_t(look->touched.cell.size()), *before = look->touched.before;
-    return look;
-  } catch (const std::exception&) {
-    return nullptr;
-  }
-}
-PINHOLE_HANDLER void pinhole_pixels_read(void* handle, int64_t* cell, double* coverage, uint8_t* after,
-                                         double* weight, double* residual, double* rows) {
-  const auto* look = static_cast<Look*>(handle);
-  const auto copy = [](const auto& from, auto* to) { std::copy(from.begin(), from.end(), to); };
-  copy(look->touched.cell, cell), copy(look->touched.coverage, coverage), copy(look->touched.after, after);
-  copy(look->weight, weight), copy(look->residual, residual), copy(look->rows, rows);
-  delete look;
-}
-
-// The outline that a look shows, for Python: the numbers of its table, then these, once.
-PINHOLE_HANDLER void* pinhole_outline(void* const* arguments, int64_t model, int64_t* number) {
-  try {
-    const int32_t* size = array(arguments[9], 1).integers(0);
-    auto* table = new std::vector<double>(outline_of(look_of(arguments, model), size[0], size[1]));
+    const Look look = look_of(arguments, model);
+    auto table = std::make_unique<std::vector<double>>();
+    if (outline) {
+      const int32_t* size = array(arguments[9], 1).integers(0);
+      *table = outline_of(look, size[0], size[1]);
+    } else {
+      const auto add = [&](const auto& some) { table->insert(table->end(), some.begin(), some.end()); };
+      table->push_back(look.touched.before);
+      add(look.touched.cell), add(look.touched.coverage), add(look.touched.after);
+      add(look.weight), add(look.residual), add(look.rows);
+    }
     *number = int64_t(table->size());
-    return table;
+    return table.release();
   } catch (const std::exception&) {
     return nullptr;
   }
 }
-PINHOLE_HANDLER void pinhole_outline_read(void* handle, double* numbers) {
+PINHOLE_HANDLER void pinhole_table_read(void* handle, double* numbers) {
   const auto* table = static_cast<std::vector<double>*>(handle);
   std::copy(table->begin(), table->end(), numbers);
   delete table;

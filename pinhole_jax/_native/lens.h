@@ -5,6 +5,10 @@
 
 namespace pinhole {
 
+inline double number(double x) { return x; }
+inline double root(double x) { return std::sqrt(x); }
+inline double arctan(double x) { return std::atan(x); }
+
 // A number and its derivatives in N directions; T may be one itself.
 template <class T, int N>
 struct Dual {
@@ -13,41 +17,36 @@ struct Dual {
   Dual() = default;
   Dual(double v) : value(v) {}
   Dual(T v, int k, T d) : value(v) { slope[k] = d; }
-};
-inline double number(double x) { return x; }
-template <class T, int N> double number(const Dual<T, N>& x) { return number(x.value); }
 
-// value and the derivatives a.slope * by_a + b.slope * by_b
-template <class T, int N>
-Dual<T, N> chain(T value, const Dual<T, N>& a, T by_a) {
-  Dual<T, N> r;
-  r.value = value;
-  for (int k = 0; k < N; ++k) r.slope[k] = a.slope[k] * by_a;
-  return r;
-}
-template <class T, int N>
-Dual<T, N> chain(T value, const Dual<T, N>& a, T by_a, const Dual<T, N>& b, T by_b) {
-  Dual<T, N> r;
-  r.value = value;
-  for (int k = 0; k < N; ++k) r.slope[k] = a.slope[k] * by_a + b.slope[k] * by_b;
-  return r;
-}
-template <class T, int N> Dual<T, N> operator+(const Dual<T, N>& a, const Dual<T, N>& b) { return chain(a.value + b.value, a, T(1.0), b, T(1.0)); }
-template <class T, int N> Dual<T, N> operator-(const Dual<T, N>& a, const Dual<T, N>& b) { return chain(a.value - b.value, a, T(1.0), b, T(-1.0)); }
-template <class T, int N> Dual<T, N> operator*(const Dual<T, N>& a, const Dual<T, N>& b) { return chain(a.value * b.value, a, b.value, b, a.value); }
-template <class T, int N> Dual<T, N> operator/(const Dual<T, N>& a, const Dual<T, N>& b) {
-  const T q = a.value / b.value, by = T(1.0) / b.value;
-  return chain(q, a, by, b, T(0.0) - q * by);
-}
-inline double root(double x) { return std::sqrt(x); }
-inline double arctan(double x) { return std::atan(x); }
-template <class T, int N> Dual<T, N> root(const Dual<T, N>& x) {
-  const T s = root(x.value);
-  return chain(s, x, T(T(0.5) / s));
-}
-template <class T, int N> Dual<T, N> arctan(const Dual<T, N>& x) {
-  return chain(T(arctan(x.value)), x, T(T(1.0) / (T(1.0) + x.value * x.value)));
-}
+  friend double number(const Dual& x) { return number(x.value); }
+  friend Dual operator+(const Dual& a, const Dual& b) { return chain(a.value + b.value, a, 1.0, b, 1.0); }
+  friend Dual operator-(const Dual& a, const Dual& b) { return chain(a.value - b.value, a, 1.0, b, -1.0); }
+  friend Dual operator*(const Dual& a, const Dual& b) { return chain(a.value * b.value, a, b.value, b, a.value); }
+  friend Dual operator/(const Dual& a, const Dual& b) {
+    const T q = a.value / b.value, by = 1.0 / b.value;
+    return chain(q, a, by, b, 0.0 - q * by);
+  }
+  friend Dual root(const Dual& x) {
+    const T s = root(x.value);
+    return chain(s, x, 0.5 / s);
+  }
+  friend Dual arctan(const Dual& x) { return chain(arctan(x.value), x, 1.0 / (1.0 + x.value * x.value)); }
+
+ private:
+  // value and the derivatives a.slope * by_a + b.slope * by_b
+  static Dual chain(T value, const Dual& a, T by_a) {
+    Dual r;
+    r.value = value;
+    for (int k = 0; k < N; ++k) r.slope[k] = a.slope[k] * by_a;
+    return r;
+  }
+  static Dual chain(T value, const Dual& a, T by_a, const Dual& b, T by_b) {
+    Dual r;
+    r.value = value;
+    for (int k = 0; k < N; ++k) r.slope[k] = a.slope[k] * by_a + b.slope[k] * by_b;
+    return r;
+  }
+};
 
 enum class Model : int { none = 0, brown_conrady = 1, rational = 2, fisheye = 3 };
 constexpr int kMostNumbers = 12;  // coefficients, focal lengths, principal point
@@ -74,20 +73,20 @@ Pair<T> distorted(Model model, const T* k, const T& x, const T& y) {
   if (model == Model::fisheye) {
     T square, over;  // theta squared, and theta over radius: by series where a quotient is lost
     if (number(s) < 1e-4) {
-      square = s * (T(1.0) - s * (T(2.0 / 3) - s * (T(23.0 / 45) - s * T(44.0 / 105))));
-      over = T(1.0) - s * (T(1.0 / 3) - s * (T(0.2) - s * (T(1.0 / 7) - s * T(1.0 / 9))));
+      square = s * (1.0 - s * (2.0 / 3 - s * (23.0 / 45 - s * (44.0 / 105))));
+      over = 1.0 - s * (1.0 / 3 - s * (0.2 - s * (1.0 / 7 - s * (1.0 / 9))));
     } else {
       const T radius = root(s), theta = arctan(radius);
       square = theta * theta, over = theta / radius;
     }
-    const T stretch = T(1.0) + square * (k[0] + square * (k[1] + square * (k[2] + square * k[3])));
+    const T stretch = 1.0 + square * (k[0] + square * (k[1] + square * (k[2] + square * k[3])));
     return {x * stretch * over, y * stretch * over};
   }
-  T radial = T(1.0) + s * (k[0] + s * (k[1] + s * k[4]));
-  if (model == Model::rational) radial = radial / (T(1.0) + s * (k[5] + s * (k[6] + s * k[7])));
-  const T two_xy = T(2.0) * x * y;
-  return {x * radial - k[2] * two_xy + k[3] * (s + T(2.0) * x * x),
-          y * radial - k[2] * (s + T(2.0) * y * y) + k[3] * two_xy};
+  T radial = 1.0 + s * (k[0] + s * (k[1] + s * k[4]));
+  if (model == Model::rational) radial = radial / (1.0 + s * (k[5] + s * (k[6] + s * k[7])));
+  const T two_xy = 2.0 * x * y;
+  return {x * radial - k[2] * two_xy + k[3] * (s + 2.0 * x * x),
+          y * radial - k[2] * (s + 2.0 * y * y) + k[3] * two_xy};
 }
 
 // The same up to the trusted radius, and beyond it straight on.
@@ -96,16 +95,17 @@ Pair<T> continued(const Lens& lens, const T* k, const T& x, const T& y) {
   const double nx = number(x), ny = number(y);
   if (nx * nx + ny * ny <= lens.trusted * lens.trusted) return distorted(lens.model, k, x, y);
   using D = Dual<T, 1>;
-  const T share = T(lens.trusted) / root(x * x + y * y);
+  const T share = lens.trusted / root(x * x + y * y);
   const T inner_x = x * share, inner_y = y * share;
   D kd[kMostNumbers];
-  for (int n = 0; n < coefficients_of(lens.model); ++n) kd[n] = D(k[n], 0, T(0.0));
+  for (int n = 0; n < coefficients_of(lens.model); ++n) kd[n] = D(k[n], 0, 0.0);
   const auto image = distorted(lens.model, kd, D(inner_x, 0, x - inner_x), D(inner_y, 0, y - inner_y));
   return {image.x.value + image.x.slope[0], image.y.value + image.y.slope[0]};
 }
 
 // The film point (px) of an ideal one.
 inline Vec2 bent(const Lens& lens, Vec2 p) {
+  if (lens.model == Model::none) return p;
   const double* f = lens.numbers + coefficients_of(lens.model);
   const auto q = continued(lens, lens.numbers, (p.x - f[2]) / f[0], (p.y - f[3]) / f[1]);
   return {f[0] * q.x + f[2], f[1] * q.y + f[3]};

@@ -30,8 +30,7 @@ def is_available() -> bool:
 def library() -> ctypes.CDLL:
     """The library's functions, for Python; it `is_available`."""
     found = ctypes.CDLL(str(library_path()))
-    for make in (found.pinhole_pixels, found.pinhole_outline):
-        make.restype = ctypes.c_void_p
+    found.pinhole_table.restype = ctypes.c_void_p
     return found
 
 

@@ -101,41 +101,35 @@ def look(
 
 def pixels(sight: Sight, scene: Scene, level: MaskLevel, model: int) -> TouchedPixels:
     """The pixels of a look: NumPy arrays, one entry a touched pixel."""
-    number, before, n = ctypes.c_int64(), ctypes.c_uint8(), len(sight.film_by_move)
-    facts = ctypes.byref(number), ctypes.byref(before)
-    read = _called("pinhole_pixels", sight, scene, level, model, *facts)
-    P = number.value
-    cell, after = np.empty(P, np.int64), np.empty(P, bool)
-    coverage, weight, residual = np.empty((3, P))
-    rows = np.empty((n, P))
-    read(cell, coverage, after, weight, residual, rows)
-    return TouchedPixels(cell, coverage, weight, residual, after, bool(before.value), rows.T)
+    table = _table(sight, scene, level, model, False)
+    rows = table[1:].reshape(5 + len(sight.film_by_move), -1)
+    cell, coverage, after, weight, residual = rows[:5]
+    cell, after, before = cell.astype(np.int64), after.astype(bool), bool(table[0])
+    return TouchedPixels(cell, coverage, weight, residual, after, before, rows[5:].T)
 
 
 def outline(sight: Sight, scene: Scene, level: MaskLevel, model: int) -> Float[np.ndarray, "P k"]:
     """The outline that a look shows, a pixel a row: row, column, coverage; and means about it: how
     steep coverage is, its slope to the right and up, its derivatives by moves."""
-    number = ctypes.c_int64()
-    read = _called("pinhole_outline", sight, scene, level, model, ctypes.byref(number))
-    table = np.empty(number.value)
-    read(table)
+    table = _table(sight, scene, level, model, True)
     return table.reshape(-1, 6 + len(sight.film_by_move))
 
 
-def _called(
-    name: str, sight: Sight, scene: Scene, level: MaskLevel, model: int, *facts: Any
-) -> Callable[..., None]:
-    """Call a function of the library that makes arrays, and states `facts` on them; the function
-    that reads these, once."""
+def _table(
+    sight: Sight, scene: Scene, level: MaskLevel, model: int, outline: bool
+) -> Float[np.ndarray, "N"]:
+    """A look's numbers as the library puts them together (`pinhole_table`)."""
     none = np.zeros((0, len(sight.film_by_move) + 1), np.asarray(sight.film).dtype)
     arrays = [np.ascontiguousarray(x) for x in (*_operands(sight, scene, level), none)]
     pointers, *_pointed_to = _buffers(arrays)
     data = lambda array: ctypes.c_void_p(array.ctypes.data)
-    make, read_into = getattr(library(), name), getattr(library(), f"{name}_read")
-    handle = make(data(pointers), ctypes.c_int64(model), *facts)
+    number, flags = ctypes.c_int64(), map(ctypes.c_int64, (model, outline))
+    handle = library().pinhole_table(data(pointers), *flags, ctypes.byref(number))
     if handle is None:
         raise MemoryError("no memory for the pixels of a look")
-    return lambda *given: read_into(ctypes.c_void_p(handle), *map(data, given))
+    table = np.empty(number.value)
+    library().pinhole_table_read(ctypes.c_void_p(handle), data(table))
+    return table
 
 
 def _operands(sight: Sight, scene: Scene, level: MaskLevel) -> list[Any]:

@@ -52,23 +52,13 @@ inline Across across(const Curve& c) {
                : Across{false, ratio(way.y, way.x), c.tail.point.x, way.x};
 }
 
-// Where a vertex is seen from, and whether that is the view point.
-inline Vec3 place(const Film& film, Vec3 p, bool& there) {
-  const Vec3 from_eye = p - film.eye, from_view = p - film.view;
-  there = largest(from_view) < largest(from_eye);
-  return there ? from_view : from_eye;
-}
-
 // --- forward --------------------------------------------------------------------------------------
 
 class Push {
  public:
   Push(const View& view, const Scene& scene, const Moves& moves)
       : view_(view), scene_(scene), moves_(moves), film_(view.film) {
-    if (moves.film.size) {
-      d_eye_ = moves.film.point(0), d_view_ = moves.film.point(1), d_base_ = moves.film.point(5);
-      for (int k = 0; k < 3; ++k) d_row_[k] = moves.film.point(2 + k);
-    }
+    if (moves.film.size) change_ = film_of(moves.film);
   }
 
   template <class Real>
@@ -76,7 +66,6 @@ class Push {
     struct Speeds { double tail, head; bool known; };
     std::vector<Speeds> speeds(view_.outline.curves.size(), {0, 0, false});
     for (const Visible& v : view_.seen.straight) {
-      if (v.pixel < 0) continue;
       const Curve& c = view_.outline.curves[v.curve];
       Speeds& s = speeds[v.curve];
       const Across a = across(c);
@@ -85,7 +74,6 @@ class Push {
     }
     if (!moves_.frames.size) return;
     for (const VisibleArc& v : view_.seen.arcs) {
-      if (v.pixel < 0) continue;
       const int64_t sphere = view_.outline.curves[v.curve].generator;
       double sum = 0;
       for (int k = 0; k < 9; ++k) sum += v.flux[k] * moves_.frames[9 * sphere + k];
@@ -101,10 +89,9 @@ class Push {
     Vec3 own = moves_.vertices.size ? moves_.vertices.point(v) : Vec3{};
     if (moves_.film.size) {
       bool there;
-      const Vec3 d = place(film_, scene_.mesh.vertices.point(v), there);
-      speed = {dot(d_row_[0], d), dot(d_row_[1], d), dot(d_row_[2], d)};
-      own = own - (there ? d_view_ : d_eye_);
-      if (there) speed = speed + d_base_;
+      speed = change_.turn(film_.way_to(scene_.mesh.vertices.point(v), there));
+      own = own - (there ? change_.view : change_.eye);
+      if (there) speed = speed + change_.base;
     }
     return speed + film_.turn(own);
   }
@@ -130,15 +117,15 @@ class Push {
   const Scene& scene_;
   const Moves& moves_;
   const Film& film_;
-  Vec3 d_eye_, d_view_, d_base_, d_row_[3];
+  Film change_;  // the film's numbers' speeds
 };
 
 // --- back -----------------------------------------------------------------------------------------
 
-// What `Moves` gain, to be added to; null: not asked for.
+// What `Moves` gain, to be added to.
 struct Gains {
   std::vector<double> film, lens, vertices, frames;
-  bool wants_film = false, wants_vertices = false, wants_frames = false;
+  bool wants_vertices = false, wants_frames = false;
 };
 
 class Pull {
@@ -154,7 +141,7 @@ class Pull {
     struct Loads { double tail, head; };
     std::vector<Loads> loads(view_.outline.curves.size(), {0, 0});
     for (const Visible& v : view_.seen.straight) {
-      const double weight = v.pixel < 0 ? 0 : weights[v.pixel];
+      const double weight = weights[v.pixel];
       if (weight == 0) continue;
       const Across a = across(view_.outline.curves[v.curve]);
       const double far = ratio(v.moment - v.extent * a.start, a.length);
@@ -170,16 +157,14 @@ class Pull {
     }
     if (!gains_.wants_frames) return;
     for (const VisibleArc& v : view_.seen.arcs) {
-      if (v.pixel < 0) continue;
-      const double weight = weights[v.pixel];
       const int64_t sphere = view_.outline.curves[v.curve].generator;
-      for (int k = 0; k < 9; ++k) gains_.frames[9 * sphere + k] += weight * v.flux[k];
+      for (int k = 0; k < 9; ++k) gains_.frames[9 * sphere + k] += weights[v.pixel] * v.flux[k];
     }
   }
 
  private:
   static void add_to(std::vector<double>& sums, int64_t row, Vec3 more) {
-    sums[3 * row] += more.x, sums[3 * row + 1] += more.y, sums[3 * row + 2] += more.z;
+    for (int k = 0; k < 3; ++k) sums[3 * row + k] += more[k];
   }
 
   void pull(const Curve& c, const End& e, const Across& a, double load) {
@@ -203,9 +188,9 @@ class Pull {
     const Vec3 turned = load.x * film_.row[0] + load.y * film_.row[1] + load.z * film_.row[2];
     if (gains_.wants_vertices) add_to(gains_.vertices, v, turned);
     bool there;
-    const Vec3 d = place(film_, scene_.mesh.vertices.point(v), there);
+    const Vec3 d = film_.way_to(scene_.mesh.vertices.point(v), there);
     add_to(gains_.film, there ? 1 : 0, -1.0 * turned);
-    add_to(gains_.film, 2, load.x * d), add_to(gains_.film, 3, load.y * d), add_to(gains_.film, 4, load.z * d);
+    for (int k = 0; k < 3; ++k) add_to(gains_.film, 2 + k, load[k] * d);
     if (there) add_to(gains_.film, 5, load);
   }
 

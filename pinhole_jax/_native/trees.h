@@ -1,10 +1,12 @@
 // Trees of the scenes that were last walked through, by what these hold: equal arrays, one tree.
 #pragma once
 
-#include <cstring>
+#include <array>
 #include <list>
 #include <memory>
 #include <mutex>
+#include <string>
+#include <string_view>
 
 #include "tree.h"
 
@@ -14,52 +16,18 @@ constexpr size_t kMostTrees = 4;
 constexpr size_t kMostBytes = size_t(1) << 28;  // a larger scene's tree is made for each call
 
 struct KeptTree {
-  std::vector<char> scene;
+  size_t real;  // bytes of a coordinate
+  std::vector<std::string> scene;
   std::shared_ptr<const Tree> tree;
 };
 
-// The arrays of a scene, as they are in memory, after their lengths.
+// The arrays of a scene, as they are in memory.
 template <class Real>
-struct SceneBytes {
-  struct Piece {
-    const void* data;
-    size_t size;
+std::array<std::string_view, 4> bytes_of(const Targets<Real>& t) {
+  const auto bytes = [](const auto* data, int64_t size) {
+    return std::string_view(reinterpret_cast<const char*>(data), size * sizeof *data);
   };
-  int64_t lengths[4];
-  Piece pieces[5];
-
-  explicit SceneBytes(const Targets<Real>& t)
-      : lengths{int64_t(sizeof(Real)), t.V, t.F, t.S},
-        pieces{{lengths, sizeof lengths},
-               {t.vertices, 3 * t.V * sizeof(Real)},
-               {t.faces, 3 * t.F * sizeof(int32_t)},
-               {t.centers, 3 * t.S * sizeof(Real)},
-               {t.radii, t.S * sizeof(Real)}} {}
-  SceneBytes(const SceneBytes&) = delete;
-  size_t size() const {
-    size_t n = 0;
-    for (const Piece& p : pieces) n += p.size;
-    return n;
-  }
-  bool equal(const std::vector<char>& kept) const {
-    if (kept.size() != size()) return false;
-    const char* at = kept.data();
-    for (const Piece& p : pieces) {
-      if (p.size && std::memcmp(at, p.data, p.size) != 0) return false;
-      at += p.size;
-    }
-    return true;
-  }
-  std::vector<char> copy() const {
-    std::vector<char> bytes;
-    bytes.reserve(size());
-    for (const Piece& p : pieces) bytes.insert(bytes.end(), static_cast<const char*>(p.data), static_cast<const char*>(p.data) + p.size);
-    return bytes;
-  }
-};
-
-inline size_t size_of(const Tree& t) {
-  return t.nodes.size() * sizeof(Node) + t.primitives.size() * sizeof(Primitive);
+  return {bytes(t.vertices, 3 * t.V), bytes(t.faces, 3 * t.F), bytes(t.centers, 3 * t.S), bytes(t.radii, t.S)};
 }
 
 // A scene's tree: one that was kept, or a new one, which the oldest makes room for.
@@ -67,18 +35,20 @@ template <class Real>
 std::shared_ptr<const Tree> kept_tree(const Targets<Real>& targets) {
   static std::mutex& mutex = *new std::mutex;  // (a call may outlast what is static)
   static std::list<KeptTree>& kept = *new std::list<KeptTree>;
-  const SceneBytes<Real> scene(targets);
+  const auto scene = bytes_of(targets);
   {
     const std::lock_guard<std::mutex> lock(mutex);
     for (auto k = kept.begin(); k != kept.end(); ++k) {
-      if (!scene.equal(k->scene)) continue;
+      if (k->real != sizeof(Real) || !std::equal(scene.begin(), scene.end(), k->scene.begin())) continue;
       kept.splice(kept.begin(), kept, k);
       return k->tree;
     }
   }
   auto tree = std::make_shared<const Tree>(tree_of(targets));
-  if (size_of(*tree) + scene.size() > kMostBytes / kMostTrees) return tree;
-  KeptTree entry{scene.copy(), tree};
+  size_t size = tree->nodes.size() * sizeof(Node) + tree->primitives.size() * sizeof(Primitive);
+  for (const std::string_view bytes : scene) size += bytes.size();
+  if (size > kMostBytes / kMostTrees) return tree;
+  KeptTree entry{sizeof(Real), {scene.begin(), scene.end()}, tree};
   const std::lock_guard<std::mutex> lock(mutex);
   kept.push_front(std::move(entry));
   if (kept.size() > kMostTrees) kept.pop_back();
