@@ -23,13 +23,13 @@ import pinhole_jax as pj
 from pinhole_jax._camera.camera import film_map
 from pinhole_jax._native.library import is_available
 from pinhole_jax._native.look import MaskLevel, Sight, look, outline, pixels
-from pinhole_jax._native.rasteriser import MODELS, Variables, _call, _image, coverage, operands
-from pinhole_jax._silhouette.silhouette import in_arrays
+from pinhole_jax._native.rasteriser import MODELS, Variables, _call, _image, coverage
+from pinhole_jax._silhouette.motion import in_arrays
 
 #: As many shapes of views are tried.
 SHAPES = 60
-#: How many numbers each model of a lens has, with focal lengths and principal point.
-NUMBERS = {0: 0, **dict(zip(MODELS.values(), (9, 12, 8), strict=True))}
+#: How many numbers each model of a lens has, with focal lengths, principal point, trusted radius.
+NUMBERS = {0: 0, **dict(zip(MODELS.values(), (10, 13, 9), strict=True))}
 LOOK, CALL = eqx.filter_jit(look), eqx.filter_jit(_call)
 
 
@@ -73,7 +73,7 @@ class Arrays(namedtuple("Arrays", "vertices faces edge_vertices edge_faces cente
 
 
 #: A view's numbers, its scene, the lens's model, and the film's size.
-View = namedtuple("View", "film lens trusted frames scene model size")
+View = namedtuple("View", "film lens frames scene model size")
 
 
 def view_of(random):
@@ -87,8 +87,8 @@ def view_of(random):
     edges = random.integers(V, E, 2), random.integers(F, E, 2)
     balls = random.reals(S, 3), np.abs(random.reals(S))
     scene = Arrays(random.reals(V, 3), random.integers(V, F, 3), *edges, *balls)
-    lens = random.reals(NUMBERS[model]), random.reals(min(model, 1))
-    return View(film, *lens, random.reals(S, 9), scene, model, np.array([W, H], np.int32))
+    lens, frames = random.reals(NUMBERS[model]), random.reals(S, 9)
+    return View(film, lens, frames, scene, model, np.array([W, H], np.int32))
 
 
 @eqx.filter_jit
@@ -101,7 +101,7 @@ def drawn(random):
     """An image of a view, its push and pull."""
     view = view_of(random)
     variables = Variables(view.film, view.lens, view.scene.vertices, view.frames)
-    constants = [view.trusted, *view.scene[1:], view.size]
+    constants = [*view.scene[1:], view.size]
     (W, H), directions = view.size.tolist(), Variables(*(random.reals(*x.shape) for x in variables))
     moving = jax.tree.map(jnp.asarray, (variables, constants, directions, random.reals(H, W)))
     image, _, _ = pushed_and_pulled((view.model, (H, W)), *moving)
@@ -109,7 +109,7 @@ def drawn(random):
     # The edges of a contour, which an image leaves to its derivative, are not checked either.
     n = random.count(9, least=1)
     edges = np.append(random.integers(n + 1, 3), random.integers(90, n))
-    given = [*operands(*moving[:2]), jnp.asarray(edges)]
+    given = [*moving[0], *moving[1], jnp.asarray(edges)]
     CALL("image_push", view.model, [image], *given, *moving[2])
     CALL("image_pull", view.model, [*variables], *given, moving[3])
 
@@ -153,8 +153,7 @@ def looked(random):
     vertices = view.scene.vertices[: random.shapes.choice([0, 40])]
     variables = view.film, view.lens, vertices, view.frames
     moves = (random.reals(n, *x.shape) for x in variables)
-    lens = np.append(view.lens, view.trusted)
-    sight = Sight(view.film, lens, vertices, view.frames, *moves)
+    sight = Sight(*variables, *moves)
     pages, blocks = random.count(40, least=1), random.count(30, least=1)
     level = MaskLevel(
         view.size,

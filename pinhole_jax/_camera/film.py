@@ -43,9 +43,10 @@ class Bend(eqx.Module):
 
     @property
     def numbers(self) -> Float[Array, "n"]:
-        """The variables of the image: coefficients, focal lengths, principal point."""
+        """Coefficients, focal lengths, principal point; and the trusted radius, held."""
         coefficients = jnp.stack(jax.tree.leaves(self.distortion))
-        return jnp.concatenate([coefficients, self.focal, self.centre])
+        trusted = jax.lax.stop_gradient(self.trusted)[None]
+        return jnp.concatenate([coefficients, self.focal, self.centre, trusted])
 
     def __call__(self, points: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
         """Distorted film points (px) of ideal ones."""

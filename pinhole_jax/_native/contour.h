@@ -230,14 +230,16 @@ constexpr int kEverywhere = 1 << 20;
 
 // On which side of the edge between two vertices, seen along x, the ray passes: the same for both
 // faces that share the edge, but for the sign.
-inline void side_of(const std::vector<Vec3>& points, int32_t first, int32_t second, double& value, int& sign) {
-  const bool swap = first > second;
+struct Side {
+  double value;
+  int sign;
+};
+inline Side side_of(const std::vector<Vec3>& points, int32_t first, int32_t second) {
   const Vec3 a = points[std::min(first, second)], b = points[std::max(first, second)];
   const double left = a.y * b.z, right = b.y * a.z;
   const double tie = a.z != b.z ? b.z - a.z : b.y - a.y;
-  sign = left != right ? (left > right ? 1 : -1) : (tie > 0) - (tie < 0);
-  value = left - right;
-  if (swap) value = -value, sign = -sign;
+  const int sign = left != right ? (left > right ? 1 : -1) : (tie > 0) - (tie < 0);
+  return first > second ? Side{right - left, -sign} : Side{left - right, sign};
 }
 
 // Layers that the ray along -x from the eye meets. The ray is thought to lie a little below y = 0,
@@ -255,11 +257,9 @@ inline int layers_on_the_left(const MeshData& m, const Film& film, const std::ve
     double toward = 0;
     int signs = 0;
     for (int k = 0; k < 3; ++k) {
-      double value;
-      int sign;
-      side_of(points, corners[k], corners[(k + 1) % 3], value, sign);
-      toward += points[corners[(k + 2) % 3]].x * value;
-      signs += sign;
+      const Side side = side_of(points, corners[k], corners[(k + 1) % 3]);
+      toward += points[corners[(k + 2) % 3]].x * side.value;
+      signs += side.sign;
     }
     const bool met = (signs == 3 && toward < 0) || (signs == -3 && toward > 0);
     const int orientation = met ? (signs > 0 ? -1 : 1) : 0;
@@ -341,12 +341,13 @@ inline Vec2 arc_end(const Frame& f, Vec2 w, int inward) {
 // Where a conic is level or upright, and where it meets the plane through the eye, by angle.
 inline int turning_points(const Frame& f, Vec2 points[6]) {
   const Vec3 *r = f.row;
+  const auto column = [&](int axis) { return Vec3{r[0][axis], r[1][axis], r[2][axis]}; };
   const auto turns = [&](int axis) {
-    const auto minor = [&](int k, int m) { return r[k][axis] * r[m].z - r[m][axis] * r[k].z; };
-    return Vec3{minor(2, 1), minor(2, 0), minor(0, 1)};
+    const Vec3 minors = cross(column(axis), column(2));
+    return Vec3{-minors.x, minors.y, minors.z};
   };
   int n = 0;
-  for (const Vec3 l : {Vec3{r[0].z, r[1].z, r[2].z}, turns(0), turns(1)}) {
+  for (const Vec3 l : {column(2), turns(0), turns(1)}) {
     const bool exists = std::abs(l.x) < std::sqrt(l.y * l.y + l.z * l.z);
     if (exists || n == 0) points[n++] = cut_circle(l, 1);
     if (exists) points[n++] = cut_circle(l, -1);

@@ -32,10 +32,10 @@ T* data_of(const Array& a, int64_t member) {
   return static_cast<T*>(a.buffer->data) + a.size() * member;
 }
 
-// What each view is of: film (18), lens (n), vertices (V, 3), faces (F, 3), the edges' vertices and
-// faces (E, 2), centres (S, 3), radii (S), frames (S, 9), and the film's size W, H (2).
+// What each view is of: film (18), lens (n), vertices (V, 3), frames (S, 9), faces (F, 3), the edges'
+// vertices and faces (E, 2), centres (S, 3), radii (S), and the film's size W, H (2).
 constexpr int kGiven = 10;
-constexpr int64_t kOwn[kGiven] = {1, 1, 2, 2, 2, 2, 2, 1, 2, 1};
+constexpr int64_t kOwn[kGiven] = {1, 1, 2, 2, 2, 2, 2, 2, 1, 1};
 
 class Views {
  public:
@@ -50,9 +50,9 @@ class Views {
     for (int k = 0; k < kGiven; ++k) entries[k] = batch.entry(given_[k], member);
     if (entries == entries_) return false;
     entries_ = entries;
-    const MeshData filled{numbers(2), integers(3), integers(4), integers(5), given_[2].length(0), given_[3].length(0), given_[4].length(0)};
+    const MeshData filled{numbers(2), integers(4), integers(5), integers(6), given_[2].length(0), given_[4].length(0), given_[5].length(0)};
     scene.mesh = filled.without_padding();
-    scene.spheres = {numbers(6), numbers(7), numbers(8), given_[6].length(0)};
+    scene.spheres = {numbers(7), numbers(8), numbers(3), given_[7].length(0)};
     W = integers(9)[0], H = integers(9)[1];
     sound_ = finite(numbers(0)) && finite(numbers(1)) && finite(scene.mesh.vertices) &&
              finite(scene.spheres.frames) && finite(scene.spheres.centers) && finite(scene.spheres.radii);

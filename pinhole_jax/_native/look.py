@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int
 from .._camera.film import FilmMap
 from .._scene.scene import Scene
 from .library import library
-from .rasteriser import scene_arrays, variables_of
+from .rasteriser import Variables, scene_arrays, variables_of
 
 #: XLA's numbers of array types.
 TYPES = {np.dtype(np.int32): 4, np.dtype(np.float32): 11, np.dtype(np.float64): 12}
@@ -23,8 +23,7 @@ BUFFER = np.dtype("u8, u8, i4, u8, i8, u8", align=True)
 class Sight(NamedTuple):
     """The variables of a view on a level of a mask, and their derivatives by n moves.
 
-    They are those of `Variables`, without vertices where none moves; the lens's trusted radius
-    follows its numbers.
+    They are those of `Variables`, without vertices where none moves.
     """
 
     film: Float[Array, "18"]
@@ -37,13 +36,10 @@ class Sight(NamedTuple):
     frames_by_move: Float[Array, "n S 9"]
 
 
-def sight_of(film: FilmMap, scene: Scene, still: bool) -> tuple[Array, Array, Array, Array]:
-    """The variables of a sight: the film's numbers, the lens's, vertices unless they stand still,
-    and frames."""
-    film_numbers, lens, vertices, frames = variables_of(film, scene)
-    if film.bend is not None:
-        lens = jnp.append(lens, film.bend.trusted)
-    return film_numbers, lens, vertices[:0] if still else vertices, frames
+def sight_of(film: FilmMap, scene: Scene, still: bool) -> Variables:
+    """The variables of a sight, without vertices where they stand still."""
+    numbers = variables_of(film, scene)
+    return numbers._replace(vertices=numbers.vertices[:0]) if still else numbers
 
 
 def along_each(
@@ -135,8 +131,8 @@ def _table(
 def _operands(sight: Sight, scene: Scene, level: MaskLevel) -> list[Any]:
     """The library's operands of a look, in its order."""
     film, lens, _, frames, *moves = sight
-    view = film, lens, *scene_arrays(scene, film.dtype), frames
-    return [*view, level.size, *moves, *level[1:]]
+    vertices, *rest = scene_arrays(scene, film.dtype)
+    return [film, lens, vertices, frames, *rest, level.size, *moves, *level[1:]]
 
 
 def _buffers(arrays: list[np.ndarray]) -> tuple[np.ndarray, ...]:

@@ -4,18 +4,20 @@ There JAX keeps, in a value's type, the axes of the devices that it varies over.
 and calls that mix values of different axes: a counter that starts at 0, a sum of values that vary.
 """
 
-from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 
+#: A tree of arrays.
+Tree = TypeVar("Tree")
 
-def spread(arrays: Sequence[Any], over: Sequence[Any]) -> list[Any]:
+
+def spread(arrays: Tree, over: Any) -> Tree:
     """The arrays, all varying over every axis that one of them or of `over` varies over."""
     if not jax.sharding.get_abstract_mesh().manual_axes:
-        return [*arrays]
-    axes = frozenset[str]().union(*(_axes(jax.typeof(x)) for x in (*arrays, *over)))
-    return [_cast(x, tuple(sorted(axes - _axes(jax.typeof(x))))) for x in arrays]
+        return arrays
+    axes = frozenset[str]().union(*(_axes(jax.typeof(x)) for x in jax.tree.leaves((arrays, over))))
+    return jax.tree.map(lambda x: _cast(x, tuple(sorted(axes - _axes(jax.typeof(x))))), arrays)
 
 
 def _axes(kind: Any) -> frozenset[str]:

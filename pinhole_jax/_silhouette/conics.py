@@ -74,6 +74,14 @@ def cut_circle(
     return jnp.stack([x * b + y * root, y * b - x * root], axis=-1)
 
 
+def turned_by(
+    angle: Float[Array, "*K"], x: Float[Array, "*#K"], y: Float[Array, "*#K"]
+) -> Float[Array, "*K 2"]:
+    """Return points (x, y) turned about 0, counter-clockwise."""
+    c, s = jnp.cos(angle), jnp.sin(angle)
+    return jnp.stack([x * c - y * s, y * c + x * s], axis=-1)
+
+
 class Nodes(NamedTuple):
     """Quadrature over a stretch of an arc: an integral is the sum of `weight` times the integrand.
 
@@ -94,10 +102,7 @@ def nodes(
     """Return the quadrature nodes from w0 to w1, whichever way is shorter."""
     turn = jnp.arctan2(w0[..., 0] * w1[..., 1] - w0[..., 1] * w1[..., 0], dot(w0, w1))
     spread = lambda x: jnp.asarray(x, turn.dtype).reshape((1,) * turn.ndim + (-1,))
-    at = turn[..., None] * spread(_NODES)
-    c, s = jnp.cos(at), jnp.sin(at)
-    x, y = w0[..., :1], w0[..., 1:]
-    w = jnp.stack([x * c - y * s, y * c + x * s], axis=-1)
+    w = turned_by(turn[..., None] * spread(_NODES), w0[..., :1], w0[..., 1:])
     across = jnp.stack([-w[..., 1], w[..., 0]], axis=-1)
     frame = frame[..., None, :, :]
     point = homogeneous(frame, w)

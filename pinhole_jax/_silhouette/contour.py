@@ -19,7 +19,7 @@ from .._camera.film import Bend, FilmMap, film_points
 from .._native.rasteriser import sphere_frames
 from .._numerics.safe import binary_inverse, norm, safe_divide
 from .._scene.scene import Mesh, Scene, Spheres, front_facing
-from .clip import Curve, Homogeneous, cut_off
+from .clip import Curve, cut_off
 from .conics import arc_end, film_at
 from .pieces import Arcs, Monotone
 from .spheres import ARCS_PER_SPHERE, Arc, arc_within, shown_arcs
@@ -92,7 +92,7 @@ class Contour(NamedTuple):
     def monotone(self, ids: Int[Array, "K"]) -> Monotone:
         """Parts from their lower to their upper end; without weight past the last one."""
         curve, *shares = self._find(ids)
-        tail, head = (self._image(curve, share, self.bend) for share in shares)
+        tail, head = (self._image(curve, share) for share in shares)
         weight = jnp.where(ids < self.upto[-1], self.weight[curve], 0)
         if self.frames is None or self.bend is not None:  # (a lens makes straight parts of arcs)
             return Monotone.from_ends(tail, head, weight, None)
@@ -104,20 +104,10 @@ class Contour(NamedTuple):
         """The sphere of each part; any for edges."""
         return self._sphere(self._arc(self._find(ids)[0]))
 
-    def speeds(self, moving: Moving, ids: Int[Array, "K"]) -> Float[Array, "K 2"]:
-        """Numbers with the derivatives of straight parts' motion at tail and head: upwards for flat
-        parts, to the right for steep ones."""
+    def carried(self, moving: Moving, ids: Int[Array, "K"]) -> list[Float[Array, "K 2"]]:
+        """The ends of parts, tail and head, as functions of the variables."""
         curve, *shares = self._find(ids)
-        tail, head = (self._image(curve, share, self.bend) for share in shares)
-        way = head - tail
-        steep = jnp.abs(way[:, 1]) > jnp.abs(way[:, 0])
-        slope = jnp.where(steep, *(safe_divide(way[:, k], way[:, 1 - k]) for k in (0, 1)))
-
-        def speed(share):
-            x, y = self._carried(moving, curve, share).T
-            return jnp.where(steep, x - slope * y, y - slope * x)
-
-        return jnp.stack([speed(share) for share in shares], axis=1)
+        return [self._carried(moving, curve, share) for share in shares]
 
     # --- parts and their points ---
 
@@ -153,9 +143,9 @@ class Contour(NamedTuple):
         assert self.arcs is not None
         return jax.tree.map(lambda x: x[jnp.maximum(arc, 0)], self.arcs).turned(share)
 
-    def _image(self, curve: Array, share: Array, bend: Bend | None) -> Float[Array, "K 2"]:
+    def _image(self, curve: Array, share: Array) -> Float[Array, "K 2"]:
         point = self._ideal(curve, share)
-        return point if bend is None else bend(point)
+        return point if self.bend is None else self.bend(point)
 
     def _carried(self, moving: Moving, curve: Array, share: Array) -> Float[Array, "K 2"]:
         """Points fixed on the curves, as functions of the variables."""
@@ -181,7 +171,7 @@ class Contour(NamedTuple):
         curve = jnp.arange(self.number, dtype=jnp.int32)
         shorter = norm(self.head - self.tail) < SHORT * min(film.W, film.H)
         stretches = jnp.where(shorter & (self._arc(curve) < 0), 2, STRETCHES)
-        point = lambda k: self._image(curve, k / stretches.astype(self.tail.dtype), self.bend)
+        point = lambda k: self._image(curve, k / stretches.astype(self.tail.dtype))
 
         def further(k, state):
             before, last, second = state
@@ -204,8 +194,7 @@ def edge_curves(points: Float[Array, "V 3"], film: FilmMap, mesh: Mesh) -> list[
     weight = contour_weights(mesh, film.eye)
     both = points[mesh.edge_vertices]
     both = both * binary_inverse(jnp.max(jnp.abs(both), axis=-1))[..., None]
-    first, last = (Homogeneous(*both[:, k].T) for k in (0, 1))
-    return cut_off(first, last, weight, film.bounds)
+    return cut_off(both.T, weight, film.bounds)
 
 
 def contour_weights(mesh: Mesh, e: Float[Array, "3"]) -> Int[Array, "E"]:

@@ -8,13 +8,13 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
 from .._camera.film import FilmMap
-from .._native.linear import differentiable_once, linear, merged, moving_of
+from .._native.linear import differentiable_once, linear, moves_of
 from .._numerics.safe import safe_divide
 from .._scene.scene import Scene
 from .contour import Contour, Moving
@@ -23,8 +23,19 @@ from .surrounding import surrounding
 from .sweeps import VisiblePieces, fold_swept
 
 
-def coverage_in_arrays(film: FilmMap, scene: Scene) -> Float[Array, "H W"]:
-    """Exact coverage of each pixel, row 0 on top."""
+def in_arrays(film: FilmMap, scene: Scene) -> Float[Array, "H W"]:
+    """Exact coverage of each pixel, row 0 on top, by vectors of pieces.
+
+    On accelerators, and where there is no compiled library; the film and the scene of one type.
+    """
+    mesh, spheres = scene.mesh, scene.spheres
+    if mesh is not None and not mesh.edge_faces.shape[0]:
+        mesh = None
+    if spheres is not None and not spheres.radii.shape[0]:
+        spheres = None
+    if mesh is None and spheres is None:
+        return jnp.zeros((film.H, film.W), film.eye.dtype)
+    scene = Scene(mesh=mesh, spheres=spheres)
     moving = Moving.from_scene(film, scene)
     held, film, scene = jax.lax.stop_gradient((moving, film, scene))
     given = Contour.from_scene(held, film, scene), surrounding(film, scene)
@@ -42,41 +53,36 @@ def _coverage(
 @partial(_coverage.defjvp, symbolic_zeros=True)
 def _coverage_jvp(film: tuple[int, int], primals: Any, tangents: Any):
     """The image, and its change by the arrays that move; others cost nothing."""
-    leaves, tree = jax.tree.flatten(primals[0])
-    velocities = tree.flatten_up_to(tangents[0])
-    moves = [not isinstance(v, SymbolicZero) for v in velocities]
-    held, (curves, base) = differentiable_once((leaves, primals[1]))
+    moves = moves_of(tangents[0])
+    held, (curves, base) = differentiable_once(primals)
     pixels = pixels_of(curves, film, base)
     image = _image(film, curves, pixels)
 
-    def change_by(view: Any, seen: VisiblePieces) -> Callable:
-        curves, _, held = view
-        return lambda x: _change(curves, tree.unflatten(merged(x, held, moves)), seen)
+    at = eqx.filter(held, moves)
 
-    def push(view: Any, velocity: list[Array]) -> Array:
+    def change_by(seen: VisiblePieces) -> Callable:
+        return lambda x: _change(curves, eqx.combine(x, held), seen)
+
+    def push(velocity: Moving) -> Array:
         def add(image, swept):
-            at = moving_of(view[2], moves)
-            more = jax.jvp(change_by(view, swept.seen), (at,), (velocity,))[1]
+            more = jax.jvp(change_by(swept.seen), (at,), (velocity,))[1]
             return image.at[swept.seen.pixel].add(more, mode="drop")
 
         none = jnp.zeros(film[0] * film[1], image.dtype)
-        return _upright(fold_swept(view[0], view[1], film, add, none, True), film)
+        return _upright(fold_swept(curves, pixels, film, add, none, True), film)
 
-    def pull(view: Any, weights: Array) -> list[Array]:
-        flat, at = jnp.append(weights[::-1].reshape(-1), 0), moving_of(view[2], moves)
+    def pull(weights: Array) -> Moving:
+        flat = jnp.append(weights[::-1].reshape(-1), 0)
 
         def add(total, swept):
-            back = jax.vjp(change_by(view, swept.seen), at)[1]
+            back = jax.vjp(change_by(swept.seen), at)[1]
             return jax.tree.map(jnp.add, total, back(flat[swept.seen.pixel])[0])
 
         none = jax.tree.map(jnp.zeros_like, at)
-        return fold_swept(view[0], view[1], film, add, none, True)
+        return fold_swept(curves, pixels, film, add, none, True)
 
-    known = curves, pixels, held
     like = jax.ShapeDtypeStruct(image.shape, image.dtype)
-    return image, linear(
-        partial(push, known), partial(pull, known), moving_of(velocities, moves), like
-    )
+    return image, linear(push, pull, eqx.filter(tangents[0], moves), like)
 
 
 def _image(film: tuple[int, int], curves: Contour, pixels: Pixels) -> Float[Array, "H W"]:
@@ -97,8 +103,14 @@ def _change(curves: Contour, moving: Moving, seen: VisiblePieces) -> Float[Array
     along = [jnp.where(m.steep, end[:, 1], end[:, 0]) for end in (m.low, m.high)]
     tail, head = (jnp.where(m.rising > 0, *ends) for ends in (along, along[::-1]))
     far = safe_divide(moment - extent * tail, head - tail)
-    speeds = curves.speeds(moving, ids)
-    change = (extent - far) * speeds[:, 0] + far * speeds[:, 1]
+    width, height = (m.high - m.low).T
+    slope = jnp.where(m.steep, safe_divide(width, height), safe_divide(height, width))
+    # Across a part: upwards if it is flat, to the right if it is steep.
+    tail, head = (
+        jnp.where(m.steep, x - slope * y, y - slope * x)
+        for x, y in (end.T for end in curves.carried(moving, ids))
+    )
+    change = (extent - far) * tail + far * head
     if m.arcs is None or moving.frames is None or flux is None:
         return change
     turned = jnp.sum(flux * moving.frames[curves.sphere(ids)], axis=(1, 2))

@@ -18,6 +18,14 @@ class Arcs(NamedTuple):
     conic: Float[Array, "*K 3 3"]
     there: Bool[Array, "*K"]
 
+    def other_at(
+        self, axis: int, value: Float[Array, "K"], growing: Array, straight: Float[Array, "K"]
+    ) -> Float[Array, "K"]:
+        """The other coordinate of arcs where the one of an axis has a value; that of other curves
+        is known."""
+        bent = film_at(self.conic, unit_at(self.conic, axis, value, growing))[:, 1 - axis]
+        return jnp.where(self.there, bent, straight)
+
 
 class Monotone(NamedTuple):
     """Curves from a lower to an upper end (px).
@@ -64,10 +72,8 @@ class Monotone(NamedTuple):
         (a0, b0), (a1, b1) = ((p[:, axis], p[:, 1 - axis]) for p in (low, high))
         other = b0 + _share(b1 - b0, (value - a0) * safe_divide(b1 - b0, a1 - a0))
         if self.arcs is not None:
-            conic, there = self.arcs
             growing = self.rising if axis else self.rising * self.rightward
-            bent = film_at(conic, unit_at(conic, axis, value, growing))[:, 1 - axis]
-            other = jnp.where(there, bent, other)
+            other = self.arcs.other_at(axis, value, growing, other)
         return jnp.clip(other, jnp.minimum(b0, b1), jnp.maximum(b0, b1))
 
 

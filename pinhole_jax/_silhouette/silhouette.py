@@ -2,7 +2,6 @@
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._camera.camera import Camera, film_map
@@ -10,7 +9,7 @@ from .._camera.film import FilmMap
 from .._native.library import is_available
 from .._native.rasteriser import coverage
 from .._scene.scene import Scene, astype, check_view
-from .motion import coverage_in_arrays
+from .motion import in_arrays
 
 
 def silhouette(camera: Camera, scene: Scene, overlaps: bool = True) -> Float[Array, "H W"]:
@@ -52,15 +51,3 @@ def on_film(film: FilmMap, scene: Scene) -> Float[Array, "H W"]:
     if jax.default_backend() == "cpu":
         return coverage(film, scene)
     return jax.lax.platform_dependent(film, scene, cpu=coverage, default=in_arrays)
-
-
-def in_arrays(film: FilmMap, scene: Scene) -> Float[Array, "H W"]:
-    """The same of a film, by vectors of pieces: on accelerators, and without a compiled library."""
-    mesh, spheres = scene.mesh, scene.spheres
-    if mesh is not None and not mesh.edge_faces.shape[0]:
-        mesh = None
-    if spheres is not None and not spheres.radii.shape[0]:
-        spheres = None
-    if mesh is None and spheres is None:
-        return jnp.zeros((film.H, film.W), film.eye.dtype)
-    return coverage_in_arrays(film, Scene(mesh=mesh, spheres=spheres))

@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from .._numerics.safe import norm, safe_divide
-from .conics import arc_end, cut_circle, film_at, homogeneous, unit_at
+from .._numerics.safe import normalize
+from .conics import arc_end, cut_circle, film_at, homogeneous, turned_by, unit_at
 
 #: A conic has at most 4 points where it turns back in x or y, and 2 where it leaves for infinity.
 ARCS_PER_SPHERE = 6
@@ -28,26 +28,19 @@ def shown_arcs(
     end = jnp.roll(start, -1, axis=1)
     (x, y), (after_x, after_y) = (jnp.moveaxis(w, -1, 0) for w in (start, end))
     across = jnp.stack([after_y - y, x - after_x], axis=-1)
-    middle = safe_divide(across, norm(across)[..., None])  # half way from end to end
-    depth = homogeneous(frames[:, None], middle)[..., 2]
+    half_way = normalize(across)  # from end to end
+    depth = homogeneous(frames[:, None], half_way)[..., 2]
     shown = outside[:, None] & (depth > 0) & jnp.any(start != end, axis=-1)
     return start.reshape(-1, 2), end.reshape(-1, 2), shown.reshape(-1).astype(frames.dtype)
 
 
 def _turning_points(frames: Float[Array, "S 3 3"]) -> Float[Array, "S 6 2"]:
     """The points where conics turn or are cut, by angle."""
-    levels = [frames[..., 2]]
-    for i in (0, 1):  # where the derivative of x (of y) by the angle vanishes
-        one, first, second = (frames[:, k, i] for k in range(3))
-        z, by_first, by_second = (frames[:, k, 2] for k in range(3))
-        minors = (
-            second * by_first - first * by_second,
-            second * z - one * by_second,
-            one * by_first - first * z,
-        )
-        levels.append(jnp.stack(minors, axis=-1))
+    x, y, z = jnp.moveaxis(frames, -1, 0)
+    sign = jnp.array([-1, 1, 1], frames.dtype)
     cuts: list[Array] = []
-    for level in levels:
+    # At infinity, and where the derivative of x (of y) by the angle vanishes.
+    for level in (z, sign * jnp.cross(x, z), sign * jnp.cross(y, z)):
         exists = jnp.abs(level[:, 0]) < jnp.sqrt(level[:, 1] ** 2 + level[:, 2] ** 2)
         for growing in (1.0, -1.0):
             cut = cut_circle(level, growing)
@@ -68,38 +61,36 @@ class Arc(NamedTuple):
 
     def turned(self, share: Float[Array, "A"]) -> Points:
         """Points of the unit circle at a share of it."""
-        angle, (x, y) = share * self.turn, self.start.T
-        c, s = jnp.cos(angle), jnp.sin(angle)
-        w = jnp.stack([x * c - y * s, y * c + x * s], axis=-1)
+        w = turned_by(share * self.turn, *self.start.T)
         return jnp.where((share >= 1)[:, None], self.end, w)
 
 
 def arc_within(
     bounds: Float[Array, "4"], frame: Float[Array, "A 3 3"], start: Points, end: Points
-) -> tuple[Arc, list[Array], Bool[Array, "A"]]:
+) -> tuple[Arc, Float[Array, "2 A"], Bool[Array, "A"]]:
     """The parts of arcs within bounds (left, right, low, high).
 
     Also the heights between which they are left of the bounds, and True if they are.
     """
-    first, last, whole = arc_end(frame, start, 1), arc_end(frame, end, -1), _turn(start, end)
+    ends = jnp.stack([arc_end(frame, start, 1), arc_end(frame, end, -1)])
+    whole, heights = _turn(start, end), ends[..., 1]
     begin, finish, enters, leaves = jnp.zeros_like(whole), whole, start, end
-    heights, beside = [first[:, 1], last[:, 1]], jnp.zeros_like(whole, bool)
+    beside = jnp.zeros_like(whole, bool)
     for k in range(4):
         axis, side, value = k // 2, (-1, 1)[k % 2], bounds[k]
-        grows = jnp.where(last[:, axis] >= first[:, axis], 1, -1).astype(whole.dtype)
+        grows = jnp.where(ends[1, :, axis] >= ends[0, :, axis], 1, -1).astype(whole.dtype)
         w = unit_at(frame, axis, jnp.broadcast_to(value, whole.shape), grows)
-        out_first, out_last = (side * (p[:, axis] - value) > 0 for p in (first, last))
+        out = out_first, out_last = side * (ends[..., axis] - value) > 0
         cut = jnp.clip(_turn(start, w), 0, whole)
         if k == 0:
-            crossing, beside = film_at(frame, w)[:, 1], out_first | out_last
-            outs = zip((out_first, out_last), heights, strict=True)
-            heights = [jnp.where(out, y, crossing) for out, y in outs]
+            heights = jnp.where(jnp.stack(out), heights, film_at(frame, w)[:, 1])
+            beside = out_first | out_last
         entry = jnp.where(out_last, jnp.inf, cut)
         later, sooner = out_first & (entry > begin), out_last & (cut < finish)
         begin, enters = jnp.where(later, entry, begin), jnp.where(later[:, None], w, enters)
         finish, leaves = jnp.where(sooner, cut, finish), jnp.where(sooner[:, None], w, leaves)
     turn = jnp.where(begin < finish, finish - begin, 0)
-    return Arc(enters, leaves, turn), [jnp.clip(y, *bounds[2:]) for y in heights], beside
+    return Arc(enters, leaves, turn), jnp.clip(heights, *bounds[2:]), beside
 
 
 def _turn(a: Points, b: Points) -> Float[Array, "A"]:

@@ -20,14 +20,14 @@ def surrounding(film: FilmMap, scene: Scene) -> Int[Array, ""]:
     """
     layers = jnp.int32(0)
     film, scene = jax.lax.stop_gradient((film, scene))
-    if scene.mesh is not None and scene.mesh.faces.shape[0]:
+    if scene.mesh is not None:
         mesh, points = scene.mesh, film_points(film, scene.mesh.vertices)
         layers = layers + jax.lax.cond(
             jnp.any(points[:, 2] <= 0),
             lambda: _layers_on_the_left(mesh, points, front_facing(mesh, film.eye)),
             lambda: jnp.int32(0),
         )
-    if scene.spheres is not None and scene.spheres.radii.shape[0]:
+    if scene.spheres is not None:
         centre, radius = scene.spheres.centers - film.eye[None], scene.spheres.radii
         distance = norm(centre)
         tangent = safe_sqrt(distance - radius) * safe_sqrt(distance + radius)
@@ -49,10 +49,9 @@ def _layers_on_the_left(
     """
     points = points * binary_inverse(jnp.max(jnp.abs(points), axis=1))[:, None]
     corners = mesh.faces.T
-    toward, signs = jnp.zeros(len(mesh.faces), points.dtype), jnp.zeros(len(mesh.faces), jnp.int32)
-    for k in range(3):
-        value, sign = _side(points, corners[k], corners[(k + 1) % 3])
-        toward, signs = toward + points[corners[(k + 2) % 3], 0] * value, signs + sign
+    value, sign = _side(points, corners, jnp.roll(corners, -1, axis=0))
+    toward = jnp.sum(points[jnp.roll(corners, -2, axis=0), 0] * value, axis=0)
+    signs = jnp.sum(sign, axis=0, dtype=jnp.int32)
     met = ((signs == 3) & (toward < 0)) | ((signs == -3) & (toward > 0))
     # 1 where the ray leaves, -1 where it enters.
     crossings = jnp.where(met, -jnp.sign(signs), 0)
@@ -62,16 +61,17 @@ def _layers_on_the_left(
     return jnp.where(mesh.closed, fronts + inside, 2 * fronts - total(crossings))
 
 
-def _side(points: Float[Array, "V 3"], first: Int[Array, "F"], second: Int[Array, "F"]):
+def _side(points: Float[Array, "V 3"], first: Int[Array, "*F"], second: Int[Array, "*F"]):
     """The side on which the ray passes an edge, seen along x: value and sign.
 
     The same for both faces that share the edge, but for the sign.
     """
     swap = first > second
-    a, b = points[jnp.minimum(first, second)], points[jnp.maximum(first, second)]
+    ends = points[jnp.minimum(first, second)], points[jnp.maximum(first, second)]
+    (ay, az), (by, bz) = ((end[..., 1], end[..., 2]) for end in ends)
     # Two rounded products are compared: their difference might be contracted, and unlike 0.
-    left, right = a[:, 1] * b[:, 2], b[:, 1] * a[:, 2]
-    tie = jnp.where(a[:, 2] != b[:, 2], b[:, 2] - a[:, 2], b[:, 1] - a[:, 1])
+    left, right = ay * bz, by * az
+    tie = jnp.where(az != bz, bz - az, by - ay)
     sign = jnp.where(left != right, jnp.where(left > right, 1, -1), jnp.sign(tie).astype(jnp.int32))
     value = left - right
     return jnp.where(swap, -value, value), jnp.where(swap, -sign, sign)

@@ -44,10 +44,8 @@ class Lines(NamedTuple):
         v = self.v0 + t * (self.v1 - self.v0)
         if self.arcs is None:
             return v
-        conic, there = self.arcs
-        bent = film_at(conic, unit_at(conic, 0, u, self.grows))[..., 1]
-        low, high = jnp.minimum(self.v0, self.v1), jnp.maximum(self.v0, self.v1)
-        return jnp.where(there, jnp.clip(bent, low, high), v)
+        v = self.arcs.other_at(0, u, self.grows, v)
+        return jnp.clip(v, jnp.minimum(self.v0, self.v1), jnp.maximum(self.v0, self.v1))
 
     def at_pixel(self, values: Float[Array, "P"]) -> Float[Array, "N"]:
         """Each line's of the pixels' values."""

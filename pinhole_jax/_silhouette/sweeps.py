@@ -4,6 +4,7 @@ Pixels with few pieces come first, so that those side by side take as many steps
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -74,12 +75,14 @@ def fold_swept(
         owner, places = _listed(curves, film, among, room)
         return upto[end - 1], add(total, _swept(curves, film, owner, places, pixel, corner, seen))
 
+    def fits(room: int, state: tuple[Array, Total]) -> Array:
+        first, _ = state
+        return (first < upto[-1]) & (upto.at[after(first)].get(mode="clip") - first <= room)
+
     most = min(1 << (curves.number - 1).bit_length(), MOST)
     state = jnp.int32(0), start
     for room in sorted({min(ROOM, most), most}):
-        fits = lambda s, room=room: upto.at[after(s[0])].get(mode="clip") - s[0] <= room
-        more = lambda s, fits=fits: (s[0] < upto[-1]) & fits(s)
-        state = jax.lax.while_loop(more, lambda s, room=room: batch(room, s), state)
+        state = jax.lax.while_loop(partial(fits, room), partial(batch, room), state)
     return state[1]
 
 

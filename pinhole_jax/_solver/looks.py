@@ -22,7 +22,7 @@ from .._native.look import MaskLevel, Sight, TouchedPixels, along_each, sight_of
 from .._native.rasteriser import model_of
 from .._numerics.thin_qr import triangle_of
 from .._scene.scene import Scene
-from .._silhouette.silhouette import in_arrays
+from .._silhouette.motion import in_arrays
 from .moves import Move, reported
 from .problem import Problem
 
