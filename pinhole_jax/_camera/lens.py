@@ -7,7 +7,7 @@ pays nothing, and one without distortion nothing for that.
 import equinox as eqx
 from jaxtyping import Array, Float
 
-from .._numerics.arrays import ArrayLike, Input, float_array, float_dtype, is_concrete
+from .._numerics.arrays import ArrayLike, Input, check_above_zero, float_array, float_dtype
 from .distortion import MODELS, Distortion
 
 
@@ -42,8 +42,7 @@ class Lens(eqx.Module):
         dtype = float_dtype(principal_point, aspect)
         self.principal_point = float_array("principal_point", principal_point, (2,), dtype)
         self.aspect = float_array("aspect", aspect, (), dtype)
-        if is_concrete(self.aspect) and not float(self.aspect) > 0:
-            raise ValueError(f"`aspect`: expected a positive ratio, got {float(self.aspect)}")
+        check_above_zero("aspect", self.aspect, "a positive ratio")
         if not (distortion is None or isinstance(distortion, Distortion)):
             raise ValueError(
                 f"`distortion`: expected a {', a '.join(MODELS)} or None, got {distortion!r}"

@@ -35,8 +35,8 @@ MISSING: Any = object()
 
 
 def is_concrete(*values: Any) -> bool:
-    """Return True if no value is traced by a transformation."""
-    return not any(isinstance(v, Tracer) for v in values)
+    """Return True if no array in the values is traced by a transformation."""
+    return not any(isinstance(v, Tracer) for v in jax.tree.leaves(values))
 
 
 def is_real(array: Any) -> bool:
@@ -71,6 +71,12 @@ def check_known(
             raise ValueError(f"`{name}`: expected {what} among {', '.join(known)}, got {other!r}")
 
 
+def check_above_zero(name: str, array: Array, expected: str) -> None:
+    """Raise ValueError unless all of these numbers, if they are known, are above 0."""
+    if is_concrete(array) and not np.all(np.asarray(array) > 0):
+        raise ValueError(f"`{name}`: expected {expected}, got {float(np.min(array))}")
+
+
 def as_count(name: str, value: Any) -> int:
     """Return an integer of at least 1, or raise ValueError."""
     with contextlib.suppress(TypeError):
@@ -102,7 +108,7 @@ def as_array(value: Any) -> Any:
     (JAX would compile a copy of each shape.)
     """
     plain = isinstance(value, np.ndarray | np.number | list | tuple | float | int)
-    if plain and is_concrete(*jax.tree.leaves(value)):
+    if plain and is_concrete(value):
         return np.asarray(value)
     return jnp.asarray(value)
 
@@ -188,4 +194,4 @@ _nothing = jax.jit(lambda: 0)
 
 def stands_alone(*given: Any) -> bool:
     """Return True if a call with these arrays is a program of its own, not part of another."""
-    return is_concrete(*jax.tree.leaves(given)) and is_concrete(_nothing())
+    return is_concrete(given) and is_concrete(_nothing())

@@ -2,12 +2,13 @@
 
 from collections.abc import Callable, Mapping, Sequence
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from .._camera.poses import moved
 from .._numerics.arrays import ArrayLike, Input, check_known
-from .scene import Mesh, Scene, with_vertices
+from .scene import Mesh, Scene
 
 #: The units of joints that turn and that slide, and of a body's size.
 UNITS = ("rad", "world", "scale")
@@ -61,7 +62,7 @@ class Assembly:
             got = f"shape {matrices.shape}" if matrices.shape != shape else "others"
             raise ValueError(f"`poses`: expected finite numbers {shape}, got {got}")
         points = jnp.asarray(self.points_at(matrices), self._dtype)
-        return Scene(mesh=with_vertices(self._mesh, points))
+        return Scene(mesh=eqx.tree_at(lambda mesh: mesh.vertices, self._mesh, points))
 
     at = scene_at  # (its name so far)
 

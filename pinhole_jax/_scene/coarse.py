@@ -5,11 +5,10 @@ the map of vertices is, a closed mesh's image is closed and has as many layers: 
 cancel.
 """
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
-from .scene import Mesh, grid_cells
+from .scene import Mesh, grid_cells, with_arrays
 from .topology import edge_records
 
 #: A mesh is coarsened from this many faces on.
@@ -28,8 +27,7 @@ def seen_from_afar(mesh: Mesh) -> Mesh:
         return mesh
     vertices, faces = _joined(np.asarray(mesh.vertices), np.asarray(mesh.faces))
     edges = edge_records(faces, None, len(vertices))
-    arrays = lambda m: (m.vertices, m.faces, m.edge_vertices, m.edge_faces)
-    return eqx.tree_at(arrays, mesh, (vertices, faces, *edges))
+    return with_arrays(mesh, (vertices, faces, *edges))
 
 
 def _joined(

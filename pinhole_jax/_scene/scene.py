@@ -1,6 +1,7 @@
 """The scene before a camera: `Mesh`, `Spheres`, `Scene`; edges are found once per mesh."""
 
 import warnings
+from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol
 
 import equinox as eqx
@@ -15,11 +16,13 @@ from .._numerics.arrays import (
     ArrayLike,
     Input,
     as_numpy,
+    check_above_zero,
     float_array,
     float_dtype,
     is_concrete,
     stands_alone,
 )
+from .._numerics.components import inner, outer
 from .._numerics.pointwise import padded as filled_up, room
 from .._numerics.safe import binary_scale
 from .topology import edge_records, without_copies
@@ -131,9 +134,8 @@ class Spheres(eqx.Module):
         dtype = float_dtype(centers, radii)
         self.centers = float_array("centers", centers, (None, 3), dtype)
         self.radii = float_array("radii", radii, (self.centers.shape[0],), dtype)
-        if is_concrete(self.radii) and not np.all(np.asarray(self.radii) > 0):
-            raise ValueError(f"`radii`: expected positive radii, got {np.min(self.radii)}")
-        if is_concrete(self.centers) and is_concrete(self.radii):
+        check_above_zero("radii", self.radii, "positive radii")
+        if is_concrete(self.centers, self.radii):
             middles, radii = np.asarray(self.centers), np.asarray(self.radii)[:, None]
             _warn_if_coarse(np.concatenate([middles - radii, middles + radii]), "centers")
 
@@ -186,9 +188,9 @@ def astype(scene: Scene, dtype: np.dtype) -> Scene:
     return jax.tree.map(cast, scene)
 
 
-def with_vertices(mesh: Mesh, vertices: Float[Array | np.ndarray, "V 3"]) -> Mesh:
-    """Return the mesh with other vertices."""
-    return eqx.tree_at(lambda m: m.vertices, mesh, vertices)
+def with_arrays(mesh: Mesh, arrays: Sequence[Array | np.ndarray]) -> Mesh:
+    """Return the mesh with other vertices, faces, edges' vertices and edges' faces, unchecked."""
+    return jax.tree.unflatten(jax.tree.structure(mesh), arrays)
 
 
 def padded(scene: Scene) -> Scene:
@@ -201,11 +203,10 @@ def padded(scene: Scene) -> Scene:
     if mesh is None or not mesh.edge_faces.shape[0]:
         return scene
     V, F, E = _filled_sizes(len(mesh.vertices), len(mesh.faces), len(mesh.edge_faces))
-    arrays = lambda m: (m.vertices, m.faces, m.edge_vertices, m.edge_faces)
     # (By NumPy: JAX would compile that for each size; within `grad` its `asarray` is traced.)
-    added = zip(arrays(mesh), (V, F, E, E), (0, -1, 0, F - 1), strict=True)
+    added = zip(jax.tree.leaves(mesh), (V, F, E, E), (0, -1, 0, F - 1), strict=True)
     filled = jax.device_put([filled_up(np.asarray(x), size, value) for x, size, value in added])
-    return Scene(mesh=eqx.tree_at(arrays, mesh, (*filled,)), spheres=scene.spheres)
+    return Scene(mesh=with_arrays(mesh, filled), spheres=scene.spheres)
 
 
 def _filled_sizes(vertices: int, faces: int, edges: int) -> tuple[int, int, int]:
@@ -228,9 +229,8 @@ def front_facing(mesh: Mesh, e: Float[Array, "3"]) -> Bool[Array, "F"]:
     points, e = jax.lax.stop_gradient((mesh.vertices, e))
     a, b, c = (points[corner].T for corner in mesh.faces.T)
     unit = binary_scale(points) / 4
-    (bx, by, bz), (cx, cy, cz) = (b - a) * unit, (c - a) * unit
-    x, y, z = e[:, None] - a
-    return (by * cz - bz * cy) * x + (bz * cx - bx * cz) * y + (bx * cy - by * cx) * z > 0
+    normal = outer([*((b - a) * unit)], [*((c - a) * unit)])
+    return inner(normal, [*(e[:, None] - a)]) > 0
 
 
 class Ball(NamedTuple):

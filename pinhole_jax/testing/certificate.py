@@ -220,7 +220,7 @@ def _check_image(image: Any, camera: Camera) -> None:
 def _check(camera: Camera, scene: Scene, tolerance: float | None, directions: int) -> None:
     check_view(camera, scene)
     for name, value in (("camera", camera), ("scene", scene)):
-        if not is_concrete(*jax.tree.leaves(value)):
+        if not is_concrete(value):
             raise ValueError(f"`{name}`: expected values, got traced ones; call it outside of jit")
     if tolerance is not None:
         check_positive("tolerance", tolerance)
