@@ -34,6 +34,7 @@ from .._numerics.arrays import (
     ArrayLike,
     Input,
     as_count,
+    check_above_zero,
     checked,
     float_array,
     float_dtype,
@@ -129,11 +130,10 @@ class Camera(eqx.Module):
         self.lens = jax.tree.map(lambda x: x.astype(dtype), lens)
         if is_concrete(self.phi) and not 0 < float(self.phi) < np.pi:
             raise ValueError(f"`phi`: expected an angle in (0, pi) rad, got {float(self.phi)}")
-        if is_concrete(self.d) and not float(self.d) > 0:
-            raise ValueError(f"`d`: expected a positive distance, got {float(self.d)}")
+        check_above_zero("d", self.d, "a positive distance")
         if is_concrete(self.e, self.p, self.u):
             _check_view(*(np.asarray(x) for x in (self.e, self.p, self.u)))
-        if self.distortion is not None and is_concrete(*jax.tree.leaves(self)):
+        if self.distortion is not None and is_concrete(self):
             _check_lens(self)
 
     def __str__(self) -> str:
@@ -161,9 +161,8 @@ class Camera(eqx.Module):
         check_camera(self)
         fx, fy = focal_px(self)
         x, y = principal_point(self)  # film coordinates: y up
-        zero, one = jnp.zeros_like(fx), jnp.ones_like(fx)
-        rows = [fx, zero, x - 0.5], [zero, fy, self.H - y - 0.5], [zero, zero, one]
-        return jnp.stack([jnp.stack(row) for row in rows])
+        rows = [[fx, 0, x - 0.5], [0, fy, self.H - y - 0.5], [0, 0, 1]]
+        return jnp.array(rows, fx.dtype)
 
     @property
     def R(self) -> Float[Array, "3 3"]:
@@ -283,7 +282,7 @@ class ResizableCamera(Camera):
 def _is_single(camera: Camera) -> bool:
     """True for one camera of numbers, neither traced nor stacked."""
     numbers = all(map(eqx.is_array, (camera.e, camera.p, camera.u, camera.phi, camera.d)))
-    return numbers and is_concrete(*jax.tree.leaves(camera)) and not np.ndim(camera.phi)
+    return numbers and is_concrete(camera) and not np.ndim(camera.phi)
 
 
 def _is_camera(camera: Camera) -> bool:
@@ -361,10 +360,7 @@ def principal_point(camera: Camera) -> Float[Array, "2"]:
     """Return the view axis's point on the film, in film coordinates (px)."""
     if camera.lens is not None:
         return camera.lens.principal_point
-    middle = camera.W / 2, camera.H / 2
-    if isinstance(camera, ResizableCamera):
-        return jnp.stack(middle)
-    return jnp.asarray(np.array(middle, camera.e.dtype))
+    return jnp.array([camera.W / 2, camera.H / 2], camera.e.dtype)
 
 
 def film_map(camera: Camera) -> FilmMap:
@@ -380,10 +376,10 @@ def film_map(camera: Camera) -> FilmMap:
 
 def bend(camera: Camera) -> Bend | None:
     """Return the lens's map from ideal to distorted film points, None without a distortion."""
-    if camera.lens is None or camera.lens.distortion is None:
+    if (distortion := camera.distortion) is None:
         return None
-    distortion, centre = camera.lens.distortion, camera.lens.principal_point
-    return Bend(distortion, distortion.trusted_radius(), jnp.stack(focal_px(camera)), centre)
+    focal, centre = jnp.stack(focal_px(camera)), principal_point(camera)
+    return Bend(distortion, distortion.trusted_radius(), focal, centre)
 
 
 def bent(camera: Camera, points: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:

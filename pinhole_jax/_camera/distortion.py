@@ -13,8 +13,7 @@ has there (C1). A camera whose film shows more than that is refused.
 
 import abc
 from collections.abc import Callable, Mapping
-from functools import partial
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -265,31 +264,23 @@ def _set_coefficients(model: Distortion, *values: ArrayLike) -> None:
         setattr(model, name, float_array(name, value, (), dtype))
 
 
-def _linearised(
-    model: Distortion, trusted: Array, x: Array, y: Array
-) -> tuple[Float[Array, "2 *n"], Float[Array, "2 *n"], Float[Array, "2 *n"]]:
-    """Return the distorted points, and their derivatives by x and by y."""
-    one, none = jnp.ones_like(x), jnp.zeros_like(x)
-    value, push = jax.linearize(partial(model.continued, trusted), x, y)
-    by_x, by_y = push(one, none), push(none, one)
-    return jnp.stack(value), jnp.stack(by_x), jnp.stack(by_y)
-
-
-def _solved(by_x: Array, by_y: Array, right: Array) -> Array:
-    """Return (dx, dy) with by_x dx + by_y dy = right."""
+def _solved(push: Callable[[Array], Array], right: Float[Array, "2 *n"]) -> Float[Array, "2 *n"]:
+    """Return (dx, dy) with push((dx, dy)) = right, a linear map of each point."""
+    one, none = jnp.ones_like(right[0]), jnp.zeros_like(right[0])
+    by_x, by_y = push(jnp.stack([one, none])), push(jnp.stack([none, one]))
     det = by_x[0] * by_y[1] - by_x[1] * by_y[0]
     dx = right[0] * by_y[1] - right[1] * by_y[0]
     dy = by_x[0] * right[1] - by_x[1] * right[0]
     return jnp.stack([safe_divide(dx, det), safe_divide(dy, det)])
 
 
-@jax.custom_jvp
 @jax.jit  # outside of other programs the loop would be compiled at each call
 def _undistorted(model: Distortion, x: Array, y: Array) -> tuple[Array, Array]:
     """Return the ideal points: Newton's method, from a table for the lens without p1 and p2.
 
     The number of right digits doubles from step to step: what follows a step that changes less than
-    half of them is rounding, and where the image hardly grows no less than that step.
+    half of them is rounding, and where the image hardly grows no less than that step. The inverse's
+    derivative is by the implicit function theorem.
     """
     goal, trusted = jnp.stack([x, y]), model.trusted_radius()
     radii = jnp.asarray(RADII, goal.dtype)
@@ -297,27 +288,19 @@ def _undistorted(model: Distortion, x: Array, y: Array) -> tuple[Array, Array]:
     seen = (right - left) / 2  # (p1 and p2 bend both the same way)
     start = goal * jnp.interp(jnp.hypot(x, y), seen, radii / seen)[None]
 
-    def further(state):
-        number, at, _ = state
-        value, by_x, by_y = _linearised(model, trusted, *at)
-        move = _solved(by_x, by_y, goal - value)
-        share = jnp.abs(move) / (1 + jnp.hypot(*at))[None]
-        return number + 1, at + move, jnp.max(share)
+    def newton(beyond: Callable[[Array], Array], start: Array) -> Array:
+        def further(state):
+            number, at, _ = state
+            value, push = jax.linearize(beyond, at)
+            move = _solved(push, -value)
+            share = jnp.abs(move) / (1 + jnp.hypot(*at))[None]
+            return number + 1, at + move, jnp.max(share)
 
-    tiny = float(jnp.finfo(start.dtype).eps) ** 0.5 / 4
-    going = lambda state: (state[0] < NEWTON_STEPS) & (state[2] > tiny)
-    first = spread([jnp.int32(0), start, jnp.asarray(jnp.inf, start.dtype)], [start])
-    ideal = jax.lax.while_loop(going, further, tuple(first))[1]
-    return ideal[0], ideal[1]
+        tiny = float(jnp.finfo(start.dtype).eps) ** 0.5 / 4
+        going = lambda state: (state[0] < NEWTON_STEPS) & (state[2] > tiny)
+        first = spread([jnp.int32(0), start, jnp.asarray(jnp.inf, start.dtype)], [start])
+        return jax.lax.while_loop(going, further, tuple(first))[1]
 
-
-@_undistorted.defjvp
-def _undistorted_rate(primals: Any, tangents: Any):
-    """The inverse's derivative, by the implicit function theorem."""
-    model, x, y = primals
-    ideal = _undistorted(model, x, y)
-    _, by_x, by_y = _linearised(model, model.trusted_radius(), *ideal)
-    moves, *goal = tangents
-    _, drift = jax.jvp(lambda m: m(*ideal), (model,), (moves,))
-    change = _solved(by_x, by_y, jnp.stack(goal) - jnp.stack(drift))
-    return ideal, (change[0], change[1])
+    beyond = lambda ideal: jnp.stack(model.continued(trusted, *ideal)) - goal
+    x, y = jax.lax.custom_root(beyond, start, newton, _solved)
+    return x, y

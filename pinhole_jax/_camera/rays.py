@@ -10,13 +10,14 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from .._numerics.arrays import ArrayLike, Input, as_array, as_count, is_real
 from .._numerics.pointwise import pointwise
-from .._numerics.safe import binary_inverse, safe_divide
+from .._numerics.safe import safe_divide
 from .camera import (
     Camera,
     ResizableCamera,
     basis,
     check_camera,
     film_map,
+    focal_px,
     principal_point,
 )
 from .film import film_points
@@ -124,26 +125,18 @@ def directions(
 ) -> Float[Array, "*batch 3"]:
     """Return the unit directions `q/|q|` of the rays through film points (x, y) in px."""
     axes = basis(camera.e, camera.p, camera.u)
-    d = camera.d * binary_inverse(camera.d)  # what counts is d over the film's size: no overflow
-    h = 2 * d * jnp.tan(camera.phi / 2)
-    w = h * (camera.W / camera.H)
-    if camera.lens is None:
-        film_x, film_y = (x / camera.W - 0.5) * w, (y / camera.H - 0.5) * h
-    else:
-        centre = camera.lens.principal_point
-        film_x = (x - centre[0]) / camera.H * (h / camera.lens.aspect)
-        film_y = (y - centre[1]) / camera.H * h
-        if camera.distortion is not None:
-            both = jnp.broadcast_arrays(film_x / d, film_y / d)
-            film_x, film_y = (d * z for z in camera.distortion.undistorted(*both))
+    (cx, cy), (fx, fy) = principal_point(camera), focal_px(camera)
+    film_x, film_y = (x - cx) / fx, (y - cy) / fy  # of a film at distance 1: d changes no ray
+    if camera.distortion is not None:
+        film_x, film_y = camera.distortion.undistorted(*jnp.broadcast_arrays(film_x, film_y))
     # Each ray's three components lie side by side on one long last axis: the compiler runs through
     # it in vectors, which an axis of length 3 prevents (jax 0.10: 38 ms, so 1 ms, for 1920 x 1080).
     n = max(film_x.shape[-1], film_y.shape[-1])
     lead = (1,) * (film_x.ndim - 1)
-    b1, b2, vd = (jnp.tile(b, n).reshape(*lead, -1) for b in (axes.b1, axes.b2, axes.v * d))
+    b1, b2, v = (jnp.tile(axis, n).reshape(*lead, -1) for axis in axes)
     film_x, film_y = (f if f.shape[-1] == 1 else jnp.repeat(f, 3, -1) for f in (film_x, film_y))
     # ... the barrier keeps the index arithmetic of these few thousand numbers out of that loop.
-    ahead, square = b1 * film_x + vd, film_x * film_x + d * d
+    ahead, square = b1 * film_x + v, film_x * film_x + 1
     ahead, square, b2, film_y = jax.lax.optimization_barrier((ahead, square, b2, film_y))
     # The basis is orthonormal: |q|^2 is the sum of the squares of its coordinates.
     direction = (ahead + b2 * film_y) * jax.lax.rsqrt(square + film_y * film_y)
