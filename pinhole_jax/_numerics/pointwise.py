@@ -2,8 +2,8 @@
 
 import math
 from collections.abc import Callable
-from functools import update_wrapper
-from typing import Any, Generic, TypeVar
+from functools import wraps
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -33,24 +33,24 @@ def padded(points: np.ndarray, number: int, value: Any = None) -> np.ndarray:
     return np.concatenate([points, added.astype(points.dtype)]) if size else points
 
 
-class pointwise(Generic[S]):
-    """A compiled function of something and of points (*batch, m), each by itself.
+def pointwise(function: Callable[[S, Any], Any]) -> Callable[[S, Any], Any]:
+    """Compile a function of something and of points (*batch, m), each by itself.
 
     Outside of other programs, on a CPU, it is compiled for few sizes.
     """
+    run: Any = eqx.filter_jit(function)
 
-    def __init__(self, function: Callable[[S, Any], Any]):
-        update_wrapper(self, function)
-        self._run: Any = eqx.filter_jit(function)
-
-    def __call__(self, of: S, points: Any) -> Any:
+    @wraps(function)
+    def run_padded(of: S, points: Any) -> Any:
         lead = points.shape[:-1]
         number = math.prod(lead)
         if not (number and may_be_padded(of, points)):
-            return self._run(of, points)
+            return run(of, points)
         rows = np.asarray(points).reshape(number, -1)
-        found = np.asarray(self._run(of, padded(rows, room(number))))
+        found = np.asarray(run(of, padded(rows, room(number))))
         return jnp.asarray(found[:number].reshape(*lead, -1), found.dtype)
+
+    return run_padded
 
 
 def may_be_padded(*given: Any) -> bool:

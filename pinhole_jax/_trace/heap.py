@@ -26,12 +26,12 @@ BESIDE = 1 << 16
 class Tree(NamedTuple):
     """Boxes by nodes (node 0 is none); the last half are leaves, of a primitive each.
 
+    - `box`: low corners, and high ones times -1: a box about two is the least of theirs.
     - `data`: corners of faces, or centres.
     - `radius`: of spheres; no entries of faces.
     """
 
-    low: Float[Array, "nodes 3"]
-    high: Float[Array, "nodes 3"]
+    box: Float[Array, "nodes 2 3"]
     primitive: Int[Array, "leaves"]
     data: Float[Array, "leaves points 3"]
     radius: Float[Array, "leaves"] | None
@@ -87,22 +87,21 @@ def _to_unit_size(scene: Scene) -> tuple[Scene, Float[Array, ""]]:
 def _tree(data: Float[Array, "N points 3"], radius: Float[Array, "N"] | None) -> Tree:
     """A complete binary tree over boxes in Morton order, its levels one after another."""
     size = 0 if radius is None else radius[:, None]
-    low, high = jnp.min(data, axis=1) - size, jnp.max(data, axis=1) + size
+    box = jnp.stack([jnp.min(data, axis=1) - size, -jnp.max(data, axis=1) - size], axis=1)
     order = jnp.argsort(morton_codes(jnp.mean(data, axis=1))).astype(jnp.int32)
-    eps, extent = jnp.finfo(low.dtype).eps, jnp.max(high - low, axis=1, keepdims=True)
+    eps, extent = jnp.finfo(box.dtype).eps, -jnp.min(jnp.sum(box, axis=1), axis=1)
     # Slivers are met up to the root of the rounding beside them: so much their test leaves open.
-    pad = 4 * eps * jnp.maximum(jnp.abs(low), jnp.abs(high)) + 16 * eps**0.5 * extent
-    real = jnp.all(jnp.isfinite(low) & jnp.isfinite(high), axis=1, keepdims=True)
-    low, high = jnp.where(real, low - pad, jnp.inf), jnp.where(real, high + pad, -jnp.inf)
-    empty = ((0, (1 << (order.shape[0] - 1).bit_length()) - order.shape[0]), (0, 0))
-    low = jnp.pad(low[order], empty, constant_values=jnp.inf)
-    high = jnp.pad(high[order], empty, constant_values=-jnp.inf)
-    lows, highs = [low], [high]
-    while low.shape[0] > 1:
-        low, high = jnp.minimum(low[::2], low[1::2]), jnp.maximum(high[::2], high[1::2])
-        lows, highs = [low, *lows], [high, *highs]
-    low, high = jnp.concatenate([low, *lows]), jnp.concatenate([high, *highs])
-    return Tree(low, high, order, data[order], None if radius is None else radius[order])
+    pad = 4 * eps * jnp.max(jnp.abs(box), axis=1) + 16 * eps**0.5 * extent[:, None]
+    real = jnp.all(jnp.isfinite(box), axis=(1, 2), keepdims=True)
+    box = jnp.where(real, box - pad[:, None], jnp.inf)
+    empty = (1 << (order.shape[0] - 1).bit_length()) - order.shape[0]
+    box = jnp.pad(box[order], ((0, empty), (0, 0), (0, 0)), constant_values=jnp.inf)
+    levels = [box]
+    while box.shape[0] > 1:
+        box = jnp.minimum(box[::2], box[1::2])
+        levels = [box, *levels]
+    box = jnp.concatenate([box, *levels])
+    return Tree(box, order, data[order], None if radius is None else radius[order])
 
 
 def _ray(origin: Float[Array, "3"], direction: Float[Array, "3"]) -> Ray:
@@ -119,12 +118,12 @@ def _ray(origin: Float[Array, "3"], direction: Float[Array, "3"]) -> Ray:
 
 def _walk(tree: Tree, ray: Ray) -> tuple[Float[Array, ""], Int[Array, ""]]:
     """The distance of a ray's first hit (inf for a miss), and its primitive."""
-    leaves, number = tree.low.shape[0] // 2, tree.primitive.shape[0]
+    leaves, number = tree.box.shape[0] // 2, tree.primitive.shape[0]
 
     def visit(state):
         node, best, met = state
-        a = (tree.low[node] - ray.origin) * ray.scale
-        b = (tree.high[node] - ray.origin) * ray.scale
+        low, high = tree.box[node]
+        a, b = (low - ray.origin) * ray.scale, (-high - ray.origin) * ray.scale
         enter = jnp.max(jnp.minimum(a, b) - ray.slack)
         leave = jnp.min(jnp.maximum(a, b) + ray.slack)
         passes = (enter <= leave) & (leave >= 0) & (enter <= best)

@@ -16,9 +16,17 @@ def _beside(direction: Parts, *corners: Parts) -> list[Parts]:
 def ray_plane(direction: Parts, a: Parts, b: Parts, c: Parts) -> tuple[Array, Parts]:
     """Return the distance (never inf) and barycentric coordinates of known hits of triangles.
 
-    Rays begin at the origin; all is by components.
+    Rays begin at the origin; all is by components. Of a sliver rounding may leave nothing but signs
+    that disagree: the ray is held within it.
     """
-    return _weighted(*_beside(direction, a, b, c))
+    p, q, r = _beside(direction, a, b, c)
+    u, v, w = (x - y for x, y in _edges(p, q, r))
+    sign = jnp.where(u + v + w < 0, -1, 1).astype(u.dtype)
+    u, v, w = (jnp.where(x * sign < 0, 0, x * sign) for x in (u, v, w))
+    det = u + v + w
+    flat = det == 0
+    u, v, w = (jnp.where(flat, 1 / 3, safe_divide(x, det)) for x in (u, v, w))
+    return u * p[2] + v * q[2] + w * r[2], (u, v, w)
 
 
 def ray_triangle(direction: Parts, a: Parts, b: Parts, c: Parts) -> Float[Array, "*batch"]:
@@ -31,7 +39,7 @@ def ray_triangle(direction: Parts, a: Parts, b: Parts, c: Parts) -> Float[Array,
     two products of them, so two triangles that share an edge never disagree.
     """
     p, q, r = _beside(direction, a, b, c)
-    u, v, w = _edge(q, r), _edge(r, p), _edge(p, q)
+    u, v, w = (x - y for x, y in _edges(p, q, r))
     det = u + v + w
     met = _around(p, q, r) & (det != 0)
     # XLA works out a quotient once, what comes after it once for each use.
@@ -39,9 +47,9 @@ def ray_triangle(direction: Parts, a: Parts, b: Parts, c: Parts) -> Float[Array,
     return jnp.where(t > 0, t, jnp.inf)
 
 
-def _edge(p, q) -> Array:
-    """Return the doubled area of (ray, p, q)."""
-    return p[0] * q[1] - p[1] * q[0]
+def _edges(p, q, r) -> list[tuple[Array, Array]]:
+    """Return two products for each side: their difference is its doubled area with the ray."""
+    return [(a[0] * b[1], a[1] * b[0]) for a, b in ((q, r), (r, p), (p, q))]
 
 
 def _around(p, q, r) -> Array:
@@ -56,23 +64,8 @@ def _around(p, q, r) -> Array:
     for k in range(2):
         boxed &= jnp.minimum(jnp.minimum(p[k], q[k]), r[k]) <= 0
         boxed &= jnp.maximum(jnp.maximum(p[k], q[k]), r[k]) >= 0
-    products = [(a[0] * b[1], a[1] * b[0]) for a, b in ((q, r), (r, p), (p, q))]
-    (a, b), (c, d), (e, f) = products
+    (a, b), (c, d), (e, f) = _edges(p, q, r)
     return boxed & (((a >= b) & (c >= d) & (e >= f)) | ((a <= b) & (c <= d) & (e <= f)))
-
-
-def _weighted(p, q, r) -> tuple[Array, Parts]:
-    """Return depth and barycentric coordinates of the ray in a triangle that it sees.
-
-    Of a sliver rounding may leave nothing but signs that disagree: the ray is held within it.
-    """
-    u, v, w = _edge(q, r), _edge(r, p), _edge(p, q)
-    sign = jnp.where(u + v + w < 0, -1, 1).astype(u.dtype)
-    u, v, w = (jnp.where(x * sign < 0, 0, x * sign) for x in (u, v, w))
-    det = u + v + w
-    flat = det == 0
-    u, v, w = (jnp.where(flat, 1 / 3, safe_divide(x, det)) for x in (u, v, w))
-    return u * p[2] + v * q[2] + w * r[2], (u, v, w)
 
 
 def ray_sphere(direction: Parts, center: Parts, radius: Array) -> Float[Array, "*batch"]:

@@ -5,6 +5,7 @@ derivatives flow to the ray and to the primitive exactly.
 """
 
 import math
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -73,8 +74,7 @@ def trace(scene: Scene, rays: Rays | Camera, *, search: str = "tree") -> Hit:
     ```
     """
     _check_search(search)
-    given, number = _with_room(scene, rays)
-    return _first(number, hits(scene, first_hits(scene, given)))
+    return _in_few_sizes(scene, rays, lambda rays: hits(scene, first_hits(scene, rays)))
 
 
 def occluded(scene: Scene, rays: Rays | Camera, *, search: str = "tree") -> Bool[Array, "*batch"]:
@@ -87,8 +87,8 @@ def occluded(scene: Scene, rays: Rays | Camera, *, search: str = "tree") -> Bool
     ```
     """
     _check_search(search)
-    given, number = _with_room(scene, rays)
-    return _first(number, first_hits(scene, given, any_hit=True).primitive >= 0)
+    met = lambda rays: first_hits(scene, rays, any_hit=True).primitive >= 0
+    return _in_few_sizes(scene, rays, met)
 
 
 def _check_search(search: Any) -> None:
@@ -117,27 +117,20 @@ def first_hits(scene: Any, rays: Any, any_hit: bool = False) -> FirstHits:
     return _find(scene, camera_rays(rays), rays, any_hit)
 
 
-def _with_room(scene: Any, rays: Any) -> tuple[Any, int | None]:
-    """Return rays in a row filled up to one of few sizes, and their number before that.
+def _in_few_sizes(scene: Any, rays: Any, run: Callable[[Any], Any]) -> Any:
+    """Return the results of rays, those in a row filled up to one of few sizes meanwhile.
 
-    The number is None for rays that are not filled up, as those of an image, whose size stays.
+    Others, as those of an image, whose size stays, are not filled up.
     """
     if not (isinstance(scene, Scene) and isinstance(rays, Rays) and may_be_padded(scene, rays)):
-        return rays, None
+        return run(rays)
     origin, direction = rays
     if direction.ndim != 2 or not len(direction) or origin.shape not in ((3,), direction.shape):
-        return rays, None
-    filled: list[Any] = [
-        x if x.ndim == 1 else padded(np.asarray(x), room(len(direction))) for x in rays
-    ]
-    return Rays(*filled), len(direction)
-
-
-def _first(number: int | None, results: Any) -> Any:
-    """Return the results of the first rays, without those that were added."""
-    if number is None:
-        return results
-    return jax.tree.map(lambda x: jnp.asarray(np.asarray(x)[:number], x.dtype), results)
+        return run(rays)
+    number = len(direction)
+    filled: list[Any] = [x if x.ndim == 1 else padded(np.asarray(x), room(number)) for x in rays]
+    own = lambda x: jnp.asarray(np.asarray(x)[:number], x.dtype)
+    return jax.tree.map(own, run(Rays(*filled)))
 
 
 @eqx.filter_jit
