@@ -27,14 +27,6 @@ class SparseImage(NamedTuple):
         """Rows (from the top) and columns."""
         return np.divmod(self.place, self.shape[1])
 
-    def lookup(self, row: np.ndarray, column: np.ndarray) -> np.ndarray:
-        """Return the values at rows (from the top) and columns, 0 at others than these."""
-        if not self.place.size:
-            return np.zeros(row.shape)
-        asked = row * self.shape[1] + column
-        slot = np.minimum(np.searchsorted(self.place, asked), len(self.place) - 1)
-        return np.where(self.place[slot] == asked, self.value[slot], 0.0)
-
     def image(self) -> np.ndarray:
         """Return the image (H, W), 0 at others than these."""
         image = np.zeros(self.shape)
@@ -55,8 +47,15 @@ Weights = np.ndarray | SparseImage
 
 
 def weights_at(weights: Weights, row: np.ndarray, column: np.ndarray) -> np.ndarray:
-    """Return weights at rows (from the top) and columns."""
-    return weights.lookup(row, column) if isinstance(weights, SparseImage) else weights[row, column]
+    """Return weights at rows (from the top) and columns, 0 where none are listed."""
+    if not isinstance(weights, SparseImage):
+        return weights[row, column]
+    shape, place, value = weights
+    if not place.size:
+        return np.zeros(row.shape)
+    asked = row * shape[1] + column
+    slot = np.minimum(np.searchsorted(place, asked), len(place) - 1)
+    return np.where(place[slot] == asked, value[slot], 0.0)
 
 
 def within(weights: Weights, window: Window) -> Weights:

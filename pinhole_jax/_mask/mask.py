@@ -65,7 +65,7 @@ class Mask:
         """Return the mask's signature; as if a part were `hidden` in a direction (rad)."""
         focal = np.array([float(f) for f in focal_px(self.camera)])
         centre = np.asarray(principal_point(self.camera), float)
-        if self.camera.lens is None or self.camera.lens.distortion is None:
+        if self.camera.distortion is None:
             return signatures(self.image[None], self._shares(), focal, centre, hidden)
         image, weight, corner, scale = self._straightened()
         return signatures(image[None], weight, focal * scale, (centre - corner) * scale, hidden)

@@ -64,8 +64,7 @@ class Level(NamedTuple):
 
     def window(self) -> Window:
         """Return the window in the level's pixels."""
-        left, bottom = (int(x) for x in np.asarray(self.origin))
-        return Window(left, bottom, int(self.W), int(self.H))
+        return Window(*map(int, (*np.asarray(self.origin), self.W, self.H)))
 
 
 def cells_of(pyramid: Pyramid, at: Int[Array, "*P"]) -> tuple[Float[Array, "*P"], ...]:
@@ -95,10 +94,10 @@ def pyramid(
     extent = max(Window.about(inside_of(window.crop(target)), 0)[2:])
     depth = max(int(np.floor(np.log2(min(extent / coarsest_px, window.W, window.H)))), 0)
     whole = 2**depth
-    left, bottom = (x - x % whole for x in (window.left, window.bottom))
-    right = min(-(-(window.left + window.W) // whole) * whole, W)
-    top = min(-(-(window.bottom + window.H) // whole) * whole, H)
-    window = Window(*(int(x) for x in (left, bottom, right - left, top - bottom)))
+    low, size = np.array(window).reshape(2, 2)
+    high = np.minimum(-(-(low + size) // whole) * whole, (W, H))
+    low -= low % whole
+    window = Window(*np.append(low, high - low).tolist())
     shapes = [(window.H >> k, window.W >> k) for k in range(depth + 1)]
     room = _room(sum(map(_cells, shapes)), least)
 
@@ -110,9 +109,8 @@ def pyramid(
     for k in reversed(range(number)):
         h, w = shapes[k]
         rasters.append(_Raster.from_image(images[k], weights[k]))
-        origin, scale = real([left / 2**k, bottom / 2**k]), real(H / 2**k)
         place = integer(start), integer(w), integer(h)
-        levels.append(Level(*place, origin, scale, real(np.inf)))
+        levels.append(Level(*place, real(low / 2**k), real(H / 2**k), real(np.inf)))
         start += _cells((h, w))
     joined = _Raster(*map(np.concatenate, zip(*rasters, strict=True)))
     return _written(joined, most, room, min(least, LEAST_CELLS), dtype), levels

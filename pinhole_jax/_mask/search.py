@@ -115,6 +115,8 @@ def partly_hidden(
 
 def _likely(mask: Mask, ball: Ball, goal: Signature, views: _Views) -> Iterator[Camera]:
     """Yield cameras whose views are like a signature, the likeliest first."""
+    from scipy.spatial.transform import Rotation
+
     seen, reaches = views.signatures, views.reaches(goal)
     score = distances(goal, seen)
     dips = (score <= np.roll(score, 1, axis=1)) & (score < np.roll(score, -1, axis=1))
@@ -123,8 +125,7 @@ def _likely(mask: Mask, ball: Ball, goal: Signature, views: _Views) -> Iterator[
     dips[flat, np.argmin(score[flat], axis=1)] = True
     order = np.argsort(np.where(dips, score, np.inf), axis=None)[: int(dips.sum())]
     for n, k in zip(*np.unravel_index(order, score.shape), strict=True):
-        c, s = np.cos(2 * np.pi * k / ANGLES), np.sin(2 * np.pi * k / ANGLES)
-        roll = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+        roll = Rotation.from_euler("z", 2 * np.pi * k / ANGLES).as_matrix()
         eye = ball.centre + reaches[n] * ball.radius * views.directions[n]
         yield mask.camera.with_pose(eye, goal.axes[0].T @ roll @ seen.axes[n] @ views.axes[n])
 

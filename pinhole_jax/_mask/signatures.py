@@ -44,7 +44,7 @@ def signatures(
 
     images, weight = images[:, ::-1], weight[::-1]  # rows from the film's bottom
     N, H, W = images.shape
-    x, y = (np.arange(W) + 0.5 - centre[0]) / focal[0], (np.arange(H) + 0.5 - centre[1]) / focal[1]
+    x, y = ((np.arange(n) + 0.5 - centre[k]) / focal[k] for k, n in enumerate((W, H)))
     cosine = (1 + x**2 + y[:, None] ** 2) ** -0.5
     share = images * (weight > 0) * cosine**3 / (focal[0] * focal[1])
     total = np.maximum(share.sum(axis=(1, 2)), 1e-12)
@@ -67,8 +67,7 @@ def signatures(
     ray = (flat.reshape(N, -1, 3) @ axes).reshape(flat.shape)
     ahead = ray[..., 2] > 1e-3
     depth = np.where(ahead, ray[..., 2], 1)
-    column = ray[..., 0] / depth * focal[0] + centre[0] - 0.5
-    row = ray[..., 1] / depth * focal[1] + centre[1] - 0.5
+    column, row = (ray[..., k] / depth * focal[k] + centre[k] - 0.5 for k in (0, 1))
     places = np.broadcast_arrays(np.arange(N)[:, None, None], row, column)
     samples = map_coordinates(images, places, order=1, mode="nearest")
     known = map_coordinates(weight, places[1:], order=1, mode="grid-constant")  # 0 beside it

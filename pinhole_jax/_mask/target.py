@@ -154,10 +154,9 @@ def check_weight(weight: Any, W: int, H: int) -> np.ndarray:
     if weight is None:
         return np.broadcast_to(1.0, (H, W))
     array = np.asarray(as_image("weight", weight, W, H))
-    if array.dtype == bool or np.issubdtype(array.dtype, np.floating):
-        array = array.astype(np.float64)
-    else:
+    if array.dtype.kind not in "bf":
         raise ValueError(f"`weight`: expected dtype bool or float, got {array.dtype}")
+    array = array.astype(np.float64)
     if not (np.all(np.isfinite(array)) and array.min() >= 0):
         raise ValueError("`weight`: expected finite values of at least 0")
     return array
