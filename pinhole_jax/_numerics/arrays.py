@@ -155,7 +155,7 @@ def checked(name: str, value: Any, shape: tuple[int | None, ...], dtype: np.dtyp
     array = array_of(name, value, expected)
     if not is_real(array):
         raise ValueError(f"`{name}`: expected {expected}, got dtype {array.dtype}")
-    if len(array.shape) != len(shape) or any(
+    if array.ndim != len(shape) or any(
         want is not None and want != got for want, got in zip(shape, array.shape, strict=True)
     ):
         raise ValueError(f"`{name}`: expected {expected}, got shape {array.shape}")

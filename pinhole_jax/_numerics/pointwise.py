@@ -21,9 +21,8 @@ SIZES = (64, 256, 1024, 4096)
 
 def room(number: int) -> int:
     """Return the least size that holds a number of points."""
-    enough = [size for size in SIZES if size >= number]
     unit = 1 << max((number - 1).bit_length() - 3, 0)
-    return enough[0] if enough else number + -number % unit
+    return next((size for size in SIZES if size >= number), number + -number % unit)
 
 
 def padded(points: np.ndarray, number: int, value: Any = None) -> np.ndarray:
