@@ -163,6 +163,7 @@ def split_check(refit: Callable[[Half], AnyFit], halves: tuple[Half, Half]) -> S
     print(check)
     ```
     """
+    check_kind("refit", refit, Callable, "a function that makes a fit from a half")
     first, second = map(refit, halves)
     check_kind("refit", first, Result | Sequence, "it to return a fit")
     checks = [_compared(a, b) for a in _rivals(first) for b in _rivals(second)]

@@ -7,7 +7,17 @@ import numpy as np
 import pytest
 import trimesh
 from chosen import first, full
-from oracles import body, camera_ahead, camera_anywhere, drawn, lump, single, turned, usual_camera
+from oracles import (
+    balls,
+    body,
+    camera_ahead,
+    camera_anywhere,
+    drawn,
+    lump,
+    single,
+    turned,
+    usual_camera,
+)
 from results import check_found, degrees, sigma
 from scipy import ndimage
 from skimage import morphology
@@ -96,6 +106,15 @@ def test_occluder_that_mimics_another_view_is_not_called_certain(sign):
     fit = pj.fit_camera(scene, seen, turned(truth, 10))
     assert fit.status != "converged" or degrees(fit, truth) < 5
     assert pj.fit_camera(scene, seen, None, phi=0.6).status != "converged"
+
+
+def test_part_that_an_exact_mask_lacks_is_a_misfit():
+    """(Before: `converged`, sigma 3e-7.)"""
+    truth = camera_ahead()
+    scene = balls([[1.65, 0.0, 0.0]], [0.1], SCENE.mesh)
+    fit = pj.fit_camera(scene, drawn(truth, SCENE), turned(truth, 5))
+    assert fit.status == "misfit"
+    assert "the outline is not in the mask" in fit.weak[0]
 
 
 def bracket():

@@ -79,14 +79,14 @@ def edge_band(inside: np.ndarray, reach: float) -> SparseImage:
     window, shape = object_window(inside), inside.shape
     shown, margin = window.crop(inside), int(np.ceil(1 + reach))
     edge = beside(shown)
-    offsets = np.indices((2 * margin + 1,) * 2).reshape(2, -1).T - margin
-    squares = np.sum(offsets**2, axis=1)
-    disc = np.flatnonzero(squares < (1 + reach) ** 2)
-    if margin > 255 or len(disc) * len(edge) > VISITS * shown.size:
+    if margin > 255 or np.pi * (1 + reach) ** 2 * len(edge) > VISITS * shown.size:
         distance = edge_distance(inside)
         place = np.flatnonzero(distance < 1 + reach)
         return SparseImage(shape, place, distance.flat[place])
 
+    offsets = np.indices((2 * margin + 1,) * 2).reshape(2, -1).T - margin
+    squares = np.sum(offsets**2, axis=1)
+    disc = np.flatnonzero(squares < (1 + reach) ** 2)
     # From the farthest on, so that the nearest have the last word. (What is not written to of
     # zeros takes no time.)
     H, W = window.H + 2 * margin, window.W + 2 * margin

@@ -297,11 +297,13 @@ def _checked(points3d: ArrayLike, points2d: ArrayLike, weights: ArrayLike | None
         raise ValueError(f"`weights`: expected none below 0, got {weight.min()}")
     seen_at[np.isnan(seen_at).any(axis=-1)] = np.nan
     least = NEGLIGIBLE * np.max(weight, axis=1, keepdims=True, initial=0)
-    weight = np.where(np.isnan(seen_at[..., 0]) | (weight <= least), 0.0, weight)
+    seen = ~np.isnan(seen_at[..., 0])
+    weight = np.where(seen & (weight > least), weight, 0.0)
     number = np.sum(weight > 0, axis=1)
     if not np.min(number, initial=3 if V else 0) >= 3:
         views = ", ".join(map(str, number)) or "no view"
-        raise ValueError(f"`points2d`: expected at least 3 points in each view, got {views}")
+        name = "weights" if V and np.min(np.sum(seen, axis=1)) >= 3 else "points2d"
+        raise ValueError(f"`{name}`: expected at least 3 points in each view, got {views}")
     return PointArrays(points, seen_at, weight)
 
 

@@ -18,6 +18,8 @@ from .parameters import LABELS, PARAMETERS, labels_of
 
 #: What a parameter is known by: mean and standard deviation, or low and high.
 Pair = tuple[ArrayLike, ArrayLike]
+#: Between which values parameters make a camera, where not all do.
+VALID = {"phi": (0.0, np.pi), "aspect": (0.0, np.inf)}
 #: What is known beside a prior is nothing if that says all but this share.
 NOTHING_ELSE = 1e-4
 
@@ -89,8 +91,11 @@ def bounds_of(
     labels = [name for name in freed if PARAMETERS[name].bounded]
     low, high = pairs("bounds", bounds, labels, "(low, high)")
     for label, a, b in zip(bounds, low, high, strict=True):
-        if not a < b:
-            raise ValueError(f"`bounds`: expected low < high of {label!r}, got ({a}, {b})")
+        least, most = VALID.get(label, (-np.inf, np.inf))
+        if not least <= a < b <= most:
+            within = f" within {least:g} to {most:g}" if label in VALID else ""
+            words = f"expected low < high of {label!r}{within}"
+            raise ValueError(f"`bounds`: {words}, got ({a}, {b})")
     return Bounds(tuple(bounds), *(jnp.asarray(x, base.e.dtype) for x in (low, high)))
 
 
