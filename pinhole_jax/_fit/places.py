@@ -73,8 +73,11 @@ class _Direction(NamedTuple):
 def settled(solver: Solver, best: Solution, start: Camera | None = None) -> Places:
     """Return the best camera along all that is nearly free, and what else is as good.
 
-    No place takes over that is far from a `start`.
+    No place takes over that is far from a `start`. A mask that a person or a network drew is left
+    to the likelihood: its errors, not its squares, say what hardly shows.
     """
+    if is_drawn(mask_errors(solver, best.view)):
+        return Places(best, [], [])
     seen, last = [], []
     directions = _worth_a_walk(solver, best)
     while directions:
