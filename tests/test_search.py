@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
-from chosen import long
+from chosen import full, long
 from masks import wavy
 from numpy.random import default_rng
 from oracles import balls, body, drawn, lump, single, turned, usual_camera
@@ -148,3 +148,19 @@ def test_start_at_a_twin_yields_to_a_mask_that_shows_it():
     mask = wavy(drawn(truth, scene), default_rng(0), 0.5, 12)
     fit = pj.fit_camera(scene, mask, turned(truth, 180, axis=(1, 0, 0)))
     check_found(fit, truth, 6)
+
+
+@pytest.mark.parametrize("hard", [False, full(True)])
+def test_rack_whose_ends_are_out_of_the_picture_is_ambiguous(hard):
+    """(Before: `converged` a tooth aside, sigma 1e-6.)"""
+    teeth = [([0.12, 0.2, 0.4], [x, 0.3, 0]) for x in np.arange(-1.9, 2, 0.25)]
+    parts = [([4, 0.6, 0.4], [0, -0.1, 0]), *teeth]
+    boxes = [trimesh.creation.box(size).apply_translation(at) for size, at in parts]
+    scene = body(trimesh.util.concatenate(boxes))
+    truth = pj.Camera([0.1, 0.3, 2.5], [0, 0, 0], [0, 1, 0], 0.6, 1.0, 144, 144)
+    mask = np.asarray(pj.silhouette(truth, scene))
+    start = truth.replace(e=[0.3, 0.3, 2.5], p=[0.2, 0, 0])
+    fit = pj.fit_camera(scene, mask > 0.5 if hard else mask, start)
+    assert fit.status == "ambiguous"
+    off = [np.abs(f.camera.e - truth.e) for f in (fit, *fit.modes)]
+    assert min(x.max() for x in off) < (0.1 if hard else 1e-4)

@@ -1,12 +1,12 @@
 """How far a camera has moved from where a calibration, or another fit, had it, and how surely."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from .._camera.axes import axes_of
+from .._camera.axes import angle, axes_of
 from .._camera.camera import Camera
 from .._numerics.arrays import check_kind
 from .places import turned_by
@@ -120,6 +120,7 @@ def other_places(
     modes: Sequence[Fit],
     free: Sequence[Float[np.ndarray, "3"]] = (),
     minima: bool = True,
+    are_one: Callable[[Camera, Camera], bool] = lambda a, b: angle(a, b) < SAME,
 ) -> list[Fit]:
     """Return the modes that the mask's own noise tells from the fit, and from one another; where it
     tells none of them from the fit, the farthest, if all are `minima` of the squares.
@@ -135,7 +136,8 @@ def other_places(
     kept = [fit]
     for mode in modes:
         away = [drift(k._replace(covariance=fit.covariance), mode.camera) for k in kept]
-        same = any(d.angle < SAME or (d.angle < limit and d.sigma < SAME_SIGMAS) for d in away)
+        same = any(d.angle < limit and d.sigma < SAME_SIGMAS for d in away)
+        same = same or any(are_one(k.camera, mode.camera) for k in kept)
         if not (same or any(_turned_about(k, mode, axis) for k in kept for axis in free)):
             kept.append(mode)
     farthest = [max(modes, key=lambda mode: drift(fit, mode.camera).angle)] if minima else []

@@ -1,6 +1,7 @@
 """`fit_camera`: the camera from a mask, by Levenberg-Marquardt on exact coverage."""
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -53,7 +54,7 @@ from .photo import (
     contradicts,
     on_photo,
 )
-from .places import Free, settled, shelf, tilted, transported, turned_about
+from .places import Free, is_alike, settled, shelf, tilted, transported, turned_about
 from .refine import Candidate, Refiner
 from .result import Context, Fit, Progress, progress_at, report, with_modes
 from .strategy import everywhere, free_about, from_start, to_the_end, turns_freely
@@ -394,9 +395,8 @@ def _fit_of(
         unbelieved = points if len(points) else None
         fit = fit._replace(unbelieved=unbelieved, status=status, weak=(*fit.weak, *words, *doubts))
     turns = [f.axis for f in free if f.axis is not None and np.isinf(f.ahead)]
-    return with_modes(
-        fit, other_places(fit, others, turns, minima=best.covariance is None and seen is None)
-    )
+    minima = best.covariance is None and seen is None
+    return with_modes(fit, other_places(fit, others, turns, minima, partial(is_alike, solver)))
 
 
 def _shown(

@@ -428,10 +428,19 @@ def _distinct(solver: Solver, places: list[Solution], apart: float) -> list[Solu
 def separation(solver: Solver, a: Camera, b: Camera) -> float:
     """The distance of two cameras: the angle between them, or how far aside they see the
     object, in its radii."""
+    return max(angle(a, b), aside(solver, a, b))
+
+
+def is_alike(solver: Solver, a: Camera, b: Camera) -> bool:
+    """Whether two cameras look the same way, and at the same part of the body."""
+    return angle(a, b) < RULES.same and aside(solver, a, b) < RULES.little
+
+
+def aside(solver: Solver, a: Camera, b: Camera) -> float:
+    """How far aside one camera sees the object of where another does, in its radii."""
     centre = np.asarray(solver.subject.ball.centre, float)
     seen = [axes_of(c) @ (centre - np.asarray(c.e, float)) for c in (a, b)]
-    aside = np.linalg.norm((seen[0] - seen[1])[:2]) / float(solver.subject.ball.radius)
-    return max(angle(a, b), float(aside))
+    return float(np.linalg.norm((seen[0] - seen[1])[:2]) / solver.subject.ball.radius)
 
 
 def _rotation(vector: np.ndarray) -> np.ndarray:

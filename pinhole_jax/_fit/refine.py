@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .._camera.axes import angle, distinct
+from .._camera.axes import angle
 from .._camera.camera import Camera
 from .._mask.mask import Mask
 from .._outline.outline_errors import OutlineErrors, is_computed, is_drawn
@@ -22,7 +22,7 @@ from .._solver.problem import FINE_PX
 from .._solver.solver import Solution, Solver, onward
 from .edge import Edge, edge_of, outline_seen
 from .likelihood import Account, Likelihood, believed
-from .places import Free
+from .places import Free, is_alike
 
 #: Steps by generalised least squares at most, and those before which no camera is given up; a step
 #: of fewer standard errors is the last.
@@ -192,7 +192,7 @@ class Refiner:
         for n in range(min(STEPS, solver.max_steps)):
             part = min(share, RULES.smooth * self.edge.size / max(now.shift, 1e-9))
             camera = solver.step(camera, solver.finest, part * now.errors.move)
-            if any(angle(camera, other) < RULES.same for other in known):
+            if any(is_alike(solver, camera, other) for other in known):
                 return None
             after = self.account(camera)
             if after is None or after.log < said.log - RULES.as_likely:
@@ -253,8 +253,11 @@ class Refiner:
         from_start = lambda c: 0 if self.start is None else angle(c.found.camera, self.start)
         reach = max(RULES.too_far, from_start(first))
         stays = lambda k: together and k < alike and from_start(candidates[k]) <= reach
-        likely = [candidates[k] for k in order if logs[k] >= least or stays(k)]
-        return list(distinct(likely, RULES.same, lambda candidate: candidate.found.camera))
+        kept: list[Candidate] = []
+        for c in (candidates[k] for k in order if logs[k] >= least or stays(k)):
+            if not any(is_alike(self.solver, c.found.camera, k.found.camera) for k in kept):
+                kept.append(c)
+        return kept
 
     def is_free(self, candidate: Candidate, free: Free, others: Sequence[Candidate]) -> bool:
         """Whether cameras far away may be as likely in a direction that squares call free: some of

@@ -21,6 +21,7 @@ from .._solver.uncertainty import free_turns
 from .places import (
     Free,
     Places,
+    aside,
     better,
     equal_views,
     separation,
@@ -77,7 +78,7 @@ def looked_round(
         )
     else:
         places = places._replace(rivals=())  # all of the mask is explained
-    return _nearest_first(places, start)
+    return _nearest_first(solver, places, start)
 
 
 def _with_the_searched(
@@ -112,9 +113,10 @@ def _copied(solver: Solver, found: Solution, near: Solution, start: Camera) -> b
     )
 
 
-def _nearest_first(places: Places, start: Camera) -> Places:
+def _nearest_first(solver: Solver, places: Places, start: Camera) -> Places:
     """Return the places with the one nearest to the start as the best, if it is as good."""
-    best, *others = sorted([places.best, *places.others], key=lambda f: angle(f.camera, start))
+    away = lambda f: separation(solver, f.camera, start)
+    best, *others = sorted([places.best, *places.others], key=away)
     return places._replace(best=best, others=others)
 
 
@@ -124,7 +126,7 @@ def with_others(
     """Return the best of all, and what explains the mask as well."""
     if not more:
         return places
-    found = _one_of_each([places.best, *places.others, *places.rivals, *more], solver.freed)
+    found = _one_of_each([places.best, *places.others, *places.rivals, *more], solver)
     best, *others = equally_good(solver, found)
     if best is not places.best:
         places = (
@@ -169,7 +171,7 @@ def searched(solver: Solver, mask: Mask, on_stop: OnStop, rounds: int) -> list[S
             source = guesses(longer, solver.subject.from_afar, solver.subject.ball)
         source, likely = tee(source)
         apart = RULES.start / (1 if free else 2**n)
-        found = _one_of_each([*found, *_followed(solver, likely, apart, on_stop)], solver.freed)
+        found = _one_of_each([*found, *_followed(solver, likely, apart, on_stop)], solver)
         if is_explained(solver, found[0].view):
             break
     return found
@@ -227,9 +229,9 @@ def _followed(
             if is_new(axes_of(guess), seen) and len(found) < RULES.tried:
                 found.append(end)
                 seen += [axes_of(guess), axes_of(end.camera)]
-    found = _one_of_each(found, solver.freed)[: RULES.followed]
+    found = _one_of_each(found, solver)[: RULES.followed]
     for level in finer:
-        found = _likely(_one_of_each(solver.continued(found, [level], on_stop), solver.freed))
+        found = _likely(_one_of_each(solver.continued(found, [level], on_stop), solver))
     return found
 
 
@@ -268,20 +270,22 @@ def _finite(found: list[Solution]) -> list[Solution]:
     return [f for f in found if known(f.view)] or found[:1]
 
 
-def _one_of_each(found: list[Solution], freed: tuple[str, ...]) -> list[Solution]:
+def _one_of_each(found: list[Solution], solver: Solver) -> list[Solution]:
     """Return the finite ones, the best first, and of those with the same view the best."""
     distinct: list[Solution] = []
     for f in sorted(_finite(found), key=lambda f: f.view.squares):
-        if not any(_same(k, f, freed) for k in distinct):
+        if not any(_same(k, f, solver) for k in distinct):
             distinct.append(f)
     return distinct
 
 
-def _same(a: Solution, b: Solution, freed: tuple[str, ...]) -> bool:
-    """True if two cameras look the same way, but for a turn that changes no pixel of a's."""
+def _same(a: Solution, b: Solution, solver: Solver) -> bool:
+    """True if two cameras look the same way at the same part of the body, but for a turn that
+    changes no pixel of a's."""
     axes_a, axes_b = (axes_of(f.camera) for f in (a, b))
     turn: Any = axes_a.T @ axes_b - np.eye(3)
-    free = free_turns(a.view.triangle, components(freed), axes_a)
+    free = free_turns(a.view.triangle, components(solver.freed), axes_a)
     if len(free) > 1:
         return True
-    return bool(np.linalg.norm(turn @ free[0] if len(free) else turn) < RULES.same)
+    turned = np.linalg.norm(turn @ free[0] if len(free) else turn)
+    return bool(turned < RULES.same and aside(solver, a.camera, b.camera) < RULES.little)

@@ -3,7 +3,7 @@
 Where what tells them apart is out of the outline, or small, a mask fits as many cameras. A walk
 along what is nearly free does not find these: they are no neighbours. The body's shape tells.
 
-- A ball of facets has turns that bring most of its faces to where others were.
+- A ball of facets has turns that bring most of its faces to where others were, a rack shifts.
 - A mug is round but for its handle: turns about its axis do not show, and flat facets make each of
   them a minimum of its own. Support functions tell: how far a body reaches in each direction. (A
   surface of revolution reaches as far all round; what sticks out of it is an outlier.)
@@ -76,8 +76,9 @@ MOST, LOOKED_AT, FIRST = 0.4, 200, 20
 #: A few faces of each shape are turned to all others of it: this many shapes, this many turns at
 #: most.
 SHAPES, TURNS = 8, 2000
-#: Turns closer than this (its trace's distance) are one.
-ONE = 1e-4
+#: Turns closer than this (its trace's distance) are one, and shifts closer than this share of the
+#: mesh's size.
+ONE, FAR = 1e-4, 0.1
 
 #: A line's direction, a point of it, and how far off most of the rest is.
 _Line = tuple[np.ndarray, np.ndarray, float]
@@ -297,19 +298,23 @@ def _turns(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) ->
         return float(np.mean(np.isfinite(off)))
 
     found: list[Turn] = []
-    known, tried = np.eye(3)[None], 0
+    known, tried = np.eye(3, 4)[None], 0
     for first, others in _shapes(corners, area, size):
         for begin in range(3):
             frames = _frames(np.roll(corners[others], -begin, axis=1))
             rotations = frames @ _frames(corners[first][None])[0].T
             shifts = middles[others] - rotations @ middles[first]
             tried += len(others)
-            for turn in map(Turn, rotations, shifts):
-                if np.any(np.linalg.norm(known - turn.rotation, axis=(1, 2)) < ONE):
+            # (Teeth of a rack are shifted; of a turn one shift is enough.)
+            alone = np.linalg.norm(rotations - np.eye(3), axis=(1, 2)) < ONE
+            by = ONE / (FAR * size) * alone[:, None] * shifts
+            keys = np.concatenate([rotations, by[..., None]], axis=2)
+            for turn, key in zip(map(Turn, rotations, shifts), keys, strict=True):
+                if np.any(np.linalg.norm(known - key, axis=(1, 2)) < ONE):
                     continue
                 if alike(few, turn) >= MOST / 2 and alike(looked_at, turn) >= MOST:
                     found.append(turn)
-                    known = np.concatenate([known, turn.rotation[None]])
+                    known = np.concatenate([known, key[None]])
         if tried > TURNS:
             break
     return found

@@ -88,7 +88,7 @@ def _with_faces(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _box_about(scene: Scene) -> np.ndarray:
-    """The least and largest coordinates (2, 3) of what a scene shows."""
+    """The least and largest coordinates (2, 3) of a scene's faces and spheres."""
     if scene.mesh is not None:  # (A vertex of no face may be anywhere.)
         scene = eqx.tree_at(lambda s: s.mesh.vertices, scene, _with_faces(scene.mesh)[0])
     return np.asarray(bounding_box(scene), float)
