@@ -278,11 +278,8 @@ def _fit(
         best, near, edge, modes = kept[0], kept[0].near, refiner.edge, kept
         if best.account is not None and np.any(best.account.gross) and turns_freely(freed):
             free = settled(near, best.found).free  # of the part that is believed
-        else:
-            free = free_about(solver, best.found, places)
-        if best.covariance is not None:  # (Places along others are candidates, too.)
-            about = [transported(near, best.found, f) for f in free]
-            free = [f for f in about if refiner.is_free(best, f, found)]
+        else:  # (Places along what a drawn mask hardly shows are candidates.)
+            free = [] if best.covariance is not None else free_about(solver, best.found, places)
 
     # 5. Status, covariance, words.
     fit = _fit_of(solver, mask, modes, free, edge, start is None, settings)

@@ -22,7 +22,7 @@ from .._solver.problem import FINE_PX
 from .._solver.solver import Solution, Solver, onward
 from .edge import Edge, edge_of, outline_seen
 from .likelihood import Account, Likelihood, believed
-from .places import Free, is_alike
+from .places import is_alike
 
 #: Steps by generalised least squares at most, and those before which no camera is given up; a step
 #: of fewer standard errors is the last.
@@ -258,35 +258,6 @@ class Refiner:
             if not any(is_alike(self.solver, c.found.camera, k.found.camera) for k in kept):
                 kept.append(c)
         return kept
-
-    def is_free(self, candidate: Candidate, free: Free, others: Sequence[Candidate]) -> bool:
-        """Whether cameras far away may be as likely in a direction that squares call free: some of
-        the others as near as that goes, or those that strides lead to. (A twin is another mode.)"""
-        least, at = candidate.log - RULES.as_likely, candidate.found.camera
-        reach = max(free.ahead, free.behind)
-        likely = (c for c in others if c.log >= least)
-        if any(RULES.start < angle(c.found.camera, at) <= reach for c in likely):
-            return True
-        strides = np.clip([free.ahead, -free.behind], -RULES.start, RULES.start)
-        return any(x != 0 and self._leads_away(candidate, x, free.move) for x in strides)
-
-    def _leads_away(self, candidate: Candidate, stride: float, move: np.ndarray) -> bool:
-        """Whether strides (rad) and a descent after each lead farther away than one of them, by
-        cameras that are as likely."""
-        near, begin, by_mask = candidate.near, candidate.found, replace(self, start=None)
-        camera, least, far = begin.camera, candidate.log - RULES.as_likely, 0.0
-        while far <= abs(stride):
-            camera = near.step(camera, near.finest, stride * move)
-            said = self.account(camera)
-            turned = begin._replace(camera=camera)
-            ended = None if said is None else by_mask._likelier(turned, said, least, [])
-            if ended is None or ended[1].log < least:
-                return False
-            camera, before = ended[0].camera, far
-            far = angle(camera, begin.camera)
-            if far < before + abs(stride) / RULES.followed:
-                return False
-        return True
 
     def is_hidden(self, candidate: Candidate) -> bool:
         """Whether something may stand before the object that a camera sees."""

@@ -309,12 +309,15 @@ def _turns(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) ->
             alone = np.linalg.norm(rotations - np.eye(3), axis=(1, 2)) < ONE
             by = ONE / (FAR * size) * alone[:, None] * shifts
             keys = np.concatenate([rotations, by[..., None]], axis=2)
-            for turn, key in zip(map(Turn, rotations, shifts), keys, strict=True):
+            # (Long faces, which are shifted along themselves, have no others to land on.)
+            least = np.where(alone, MOST / 2, MOST)
+            for turn, key, most in zip(map(Turn, rotations, shifts), keys, least, strict=True):
                 if np.any(np.linalg.norm(known - key, axis=(1, 2)) < ONE):
                     continue
-                if alike(few, turn) >= MOST / 2 and alike(looked_at, turn) >= MOST:
-                    found.append(turn)
-                    known = np.concatenate([known, key[None]])
+                if alike(few, turn) >= most / 2 and alike(looked_at, turn) >= most:
+                    back = [Turn(turn.rotation, -turn.shift)] if most < MOST else []
+                    found += [turn, *back]
+                    known = np.concatenate([known, key[None], (key * [1, 1, 1, -1])[None]])
         if tried > TURNS:
             break
     return found
