@@ -320,17 +320,19 @@ def behind_something(refiner: Refiner, plain: Candidate) -> list[Candidate]:
     solver, mask, edge, start = refiner.solver, refiner.mask, refiner.edge, refiner.start
     known = [plain.found.camera] if start is None else [start, plain.found.camera]
     found: list[Candidate] = []
-    best = plain
-    for proposed in (
-        lambda: near_starts(solver, edge, known),
-        lambda: from_all_sides(solver, mask, edge),
-    ):
-        found += refiner.proposals(proposed(), best)
+
+    def add(cameras: list[Camera], best: Candidate) -> Candidate:
+        found.extend(refiner.proposals(cameras, best))
         before, best = best, max([best, *found], key=lambda c: c.log)
         if best is not before:
-            found += refiner.proposals(lookalikes(solver, best.found.camera), best)
-        if start is not None and best.is_surely_explained():
-            break
+            found.extend(refiner.proposals(lookalikes(solver, best.found.camera), best))
+        return max([best, *found], key=lambda c: c.log)
+
+    best = add(near_starts(solver, edge, known), plain)
+    explained = start is not None and best.is_explained()
+    # (Where an edge wavers, another view that the start allows may explain more of it.)
+    if not explained or best.account is None or best.account.is_drawn:
+        add(from_all_sides(solver, mask, edge, start if explained else None), best)
     return found
 
 

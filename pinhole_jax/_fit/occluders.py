@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._camera.axes import axes_of
+from .._camera.axes import angle, axes_of
 from .._camera.camera import Camera
 from .._files.progress import say
 from .._mask.mask import Mask
@@ -39,8 +39,13 @@ def near_starts(solver: Solver, edge: Edge, cameras: Iterable[Camera]) -> list[C
     return bringing.followed([(camera, w) for camera in cameras for w in windows])
 
 
-def from_all_sides(solver: Solver, mask: Mask, edge: Edge) -> list[Camera]:
-    """Where views from all sides lead to if the object is hidden on any side."""
+def from_all_sides(
+    solver: Solver, mask: Mask, edge: Edge, start: Camera | None = None
+) -> list[Camera]:
+    """Where views from all sides, or a few of those that a start does not rule out, lead to if the
+    object is hidden on any side."""
+    allowed = lambda guess: start is None or angle(guess, start) < RULES.too_far
+    few = 1 if start is None else 4  # (a quarter of the sphere)
     bringing = _Bringing.on(solver, edge)
     directions = [None, *(2 * np.pi * np.arange(RULES.sectors) / RULES.sectors)]
     views = partly_hidden(mask, solver.subject.from_afar, solver.subject.ball, directions)
@@ -49,8 +54,9 @@ def from_all_sides(solver: Solver, mask: Mask, edge: Edge) -> list[Camera]:
         [
             (canonical(guess), window)
             for guesses, window in zip(views, windows, strict=True)
-            for guess in islice(guesses, RULES.tried)
-        ]
+            for guess in islice(filter(allowed, guesses), RULES.tried // few)
+        ],
+        few,
     )
 
 
@@ -85,14 +91,14 @@ class _Bringing:
         some, level = edge.thinned(POINTS), min(solver.far, max(solver.finest - 1, 0))
         return cls(solver, some, _stretches(some), level)
 
-    def followed(self, begins: list[tuple[Camera, Window]]) -> list[Camera]:
-        """Where the closest of some cameras lead to."""
+    def followed(self, begins: list[tuple[Camera, Window]], few: int = 1) -> list[Camera]:
+        """Where the closest of some cameras lead to, a part of as many as usual go on."""
         first = RULES.room * self.edge.size
         scales = np.geomspace(max(first, 1.0), 1.0, 2 * RULES.steps)
         found = [(seen, w) for camera, w in begins if (seen := self._seen(camera)) is not None]
         for number in RULES.rounds:
             say(f"looking for something in front of the object: {len(found)} guesses")
-            found = self._brought(found, scales[:2])[:number]
+            found = self._brought(found, scales[:2])[: number // few]
             scales = scales[2:]
         return [
             seen.camera for seen, _ in self._brought([(seen, None) for seen, _ in found], scales)

@@ -58,11 +58,9 @@ class Candidate:
         sums = self.whole.sums
         return float(sums.overlap) > RULES.overlap * float(sums.union)
 
-    def is_surely_explained(self) -> bool:
-        """Whether nearly all of the camera's outline has an edge beside it, or is hidden, and
-        nothing but quantisation is between them. (What wavers may be another view's.)"""
-        said = self.account
-        return said is not None and said.missing < RULES.little and not said.is_drawn
+    def is_explained(self) -> bool:
+        """Whether nearly all of the camera's outline has an edge beside it, or is hidden."""
+        return self.account is not None and self.account.missing < RULES.little
 
 
 @dataclass(frozen=True, eq=False)
