@@ -404,7 +404,7 @@ test_bad_points_are_refused = refuses(
         r"`points2d`: expected real numbers of shape \(N, 2\)": {"points2d": np.zeros((30, 3))},
         "`points2d`: expected finite values, or NaN": {"points2d": np.full((30, 2), np.inf)},
         "`points2d`: expected at least 3 points": {"points2d": np.full((30, 2), np.nan)},
-        "`points2d`: expected at least 3 points in each": {"weights": np.zeros(30)},
+        "`weights`: expected at least 3 points in each": {"weights": np.zeros(30)},
         r"`points3d`: expected a real array of shape \(30, 3\)": {"points3d": np.zeros((29, 3))},
         "`camera`: expected one for each of 1 views, got 2": {"camera": [START, START]},
         "`camera`: expected a Camera": {"camera": None},
