@@ -48,7 +48,7 @@ def _between_rows(
     t = jnp.where(is_low & is_high, both, jnp.where(is_low, t_low, t_high))
     out = is_low | is_high
     t = jnp.where(out, t, jnp.array([[0], [1]], t.dtype))
-    at_top = is_high & (~is_low | (t == t_high))
+    at_top = is_high & (~is_low | (t == t_high[None]))
     cut = jnp.where(out, _along(ends, t), ends)
     height = jnp.where(at_top, high, jnp.where(is_low, low, safe_divide(cut[1], cut[2])))
     none = jnp.all(is_low, axis=0) | jnp.all(is_high, axis=0) | (t[0] > t[1])
@@ -63,7 +63,7 @@ def _crossing(value: Float[Array, "2 K"]) -> Float[Array, "K"]:
 def _along(ends: Ends, t: Float[Array, "n K"]) -> Float[Array, "3 n K"]:
     """Return the points at shares of edges."""
     first, last = ends[:, :1], ends[:, 1:]
-    return first + t * (last - first)
+    return first + t[None] * (last - first)
 
 
 def _height_of_crossing(

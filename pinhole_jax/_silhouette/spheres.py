@@ -37,7 +37,7 @@ def shown_arcs(
 def _turning_points(frames: Float[Array, "S 3 3"]) -> Float[Array, "S 6 2"]:
     """The points where conics turn or are cut, by angle."""
     x, y, z = jnp.moveaxis(frames, -1, 0)
-    sign = jnp.array([-1, 1, 1], frames.dtype)
+    sign = jnp.array([[-1, 1, 1]], frames.dtype)
     cuts: list[Array] = []
     # At infinity, and where the derivative of x (of y) by the angle vanishes.
     for level in (z, sign * jnp.cross(x, z), sign * jnp.cross(y, z)):

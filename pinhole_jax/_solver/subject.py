@@ -88,10 +88,14 @@ def _with_faces(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _box_about(scene: Scene) -> np.ndarray:
-    """The least and largest coordinates (2, 3) of a scene's faces and spheres."""
-    if scene.mesh is not None:  # (A vertex of no face may be anywhere.)
-        scene = eqx.tree_at(lambda s: s.mesh.vertices, scene, _with_faces(scene.mesh)[0])
-    return np.asarray(bounding_box(scene), float)
+    """The least and largest coordinates (2, 3) of a scene, but for vertices far beyond its faces:
+    one that no face has may be anywhere."""
+    whole = np.asarray(bounding_box(scene), float)
+    if scene.mesh is None:
+        return whole
+    shown = eqx.tree_at(lambda s: s.mesh.vertices, scene, _with_faces(scene.mesh)[0])
+    box = np.asarray(bounding_box(shown), float)
+    return box if np.max(np.ptp(whole, axis=0)) > 2 * np.max(np.ptp(box, axis=0)) else whole
 
 
 def reach_of(scene: Scene) -> float:
