@@ -41,11 +41,16 @@ def distinct(
     places: Iterable[T], apart: float, camera: Callable[[T], Any] = lambda place: place
 ) -> Iterator[T]:
     """Places, or cameras, that look other ways than all before, by more than an angle (rad)."""
-    before: list[Camera] = []
+    near = lambda before, place: angle(camera(place), camera(before)) <= apart
+    return one_of_each(places, near)
+
+
+def one_of_each(places: Iterable[T], is_one: Callable[[T, T], bool]) -> Iterator[T]:
+    """Places that are not one with any before, asked as (before, place)."""
+    kept: list[T] = []
     for place in places:
-        here = camera(place)
-        if all(angle(here, other) > apart for other in before):
-            before.append(here)
+        if not any(is_one(before, place) for before in kept):
+            kept.append(place)
             yield place
 
 

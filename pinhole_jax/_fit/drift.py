@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from .._camera.axes import angle, axes_of
+from .._camera.axes import axes_of
 from .._camera.camera import Camera
 from .._numerics.arrays import check_kind
 from .places import turned_by
@@ -118,9 +118,9 @@ def drift(fit: Fit, reference: Camera | Fit) -> Drift:
 def other_places(
     fit: Fit,
     modes: Sequence[Fit],
-    free: Sequence[Float[np.ndarray, "3"]] = (),
-    minima: bool = True,
-    are_one: Callable[[Camera, Camera], bool] = lambda a, b: angle(a, b) < SAME,
+    free: Sequence[Float[np.ndarray, "3"]],
+    minima: bool,
+    are_one: Callable[[Camera, Camera], bool],
 ) -> list[Fit]:
     """Return the modes that the mask's own noise tells from the fit, and from one another; where it
     tells none of them from the fit, the farthest, if all are `minima` of the squares.

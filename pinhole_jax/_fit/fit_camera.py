@@ -329,9 +329,9 @@ def behind_something(refiner: Refiner, plain: Candidate) -> list[Candidate]:
         return max([best, *found], key=lambda c: c.log)
 
     best = add(near_starts(solver, edge, known), plain)
-    explained = start is not None and best.is_explained()
+    explained = best.account if start is not None and best.is_explained() else None
     # (Where an edge wavers, another view that the start allows may explain more of it.)
-    if not explained or best.account is None or best.account.is_drawn:
+    if explained is None or explained.is_drawn:
         add(from_all_sides(solver, mask, edge, start if explained else None), best)
     return found
 

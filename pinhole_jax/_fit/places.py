@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._camera.axes import angle, axes_of
+from .._camera.axes import angle, axes_of, one_of_each
 from .._camera.camera import Camera
 from .._numerics.threads import some_at_once
 from .._outline.outline_errors import is_drawn
@@ -418,11 +418,8 @@ def _intervals(
 
 
 def _distinct(solver: Solver, places: list[Solution], apart: float) -> list[Solution]:
-    distinct: list[Solution] = []
-    for place in sorted(places, key=lambda p: _surplus(solver, p.view)):
-        if all(separation(solver, place.camera, k.camera) > apart for k in distinct):
-            distinct.append(place)
-    return distinct
+    near = lambda before, place: separation(solver, place.camera, before.camera) <= apart
+    return [*one_of_each(sorted(places, key=lambda p: _surplus(solver, p.view)), near)]
 
 
 def separation(solver: Solver, a: Camera, b: Camera) -> float:

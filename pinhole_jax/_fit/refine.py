@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .._camera.axes import angle
+from .._camera.axes import angle, one_of_each
 from .._camera.camera import Camera
 from .._mask.mask import Mask
 from .._outline.outline_errors import OutlineErrors, is_computed, is_drawn
@@ -251,11 +251,9 @@ class Refiner:
         from_start = lambda c: 0 if self.start is None else angle(c.found.camera, self.start)
         reach = max(RULES.too_far, from_start(first))
         stays = lambda k: together and k < alike and from_start(candidates[k]) <= reach
-        kept: list[Candidate] = []
-        for c in (candidates[k] for k in order if logs[k] >= least or stays(k)):
-            if not any(is_alike(self.solver, c.found.camera, k.found.camera) for k in kept):
-                kept.append(c)
-        return kept
+        likely = [candidates[k] for k in order if logs[k] >= least or stays(k)]
+        is_one = lambda a, b: is_alike(self.solver, a.found.camera, b.found.camera)
+        return [*one_of_each(likely, is_one)]
 
     def is_hidden(self, candidate: Candidate) -> bool:
         """Whether something may stand before the object that a camera sees."""

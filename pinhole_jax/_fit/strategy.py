@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from .._camera.axes import angle, angles, axes_of
+from .._camera.axes import angle, angles, axes_of, one_of_each
 from .._camera.camera import Camera
 from .._mask.mask import Mask
 from .._mask.search import aimed, guesses
@@ -272,11 +272,8 @@ def _finite(found: list[Solution]) -> list[Solution]:
 
 def _one_of_each(found: list[Solution], solver: Solver) -> list[Solution]:
     """Return the finite ones, the best first, and of those with the same view the best."""
-    distinct: list[Solution] = []
-    for f in sorted(_finite(found), key=lambda f: f.view.squares):
-        if not any(_same(k, f, solver) for k in distinct):
-            distinct.append(f)
-    return distinct
+    best_first = sorted(_finite(found), key=lambda f: f.view.squares)
+    return [*one_of_each(best_first, lambda a, b: _same(a, b, solver))]
 
 
 def _same(a: Solution, b: Solution, solver: Solver) -> bool:

@@ -264,6 +264,6 @@ def _checked_count(targets: Any, cameras: Any, weights: Any) -> int:
     for name, given in (("cameras", cameras), ("weights", weights)):
         if given is not None and len(given) != count:
             raise ValueError(f"`{name}`: expected one for each of {count} masks, got {len(given)}")
-    for camera in cameras or ():
+    for camera in cameras if cameras is not None else ():
         check_camera(camera, "cameras")
     return count

@@ -41,6 +41,7 @@ from .views import MOTIONS, POSE, SCALE, ZERO, joint_units
 LOST, MOST_LOST = 0.25, 1 / 3
 #: A view with less weight than this decides nothing: it is 4.4 times as far off as the middle one.
 COUNTS = 0.1
+#: What makes one view unlike the others.
 UNLIKE = "check what cameras share, transforms, the mesh and the mask"
 
 

@@ -310,14 +310,15 @@ def _turns(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) ->
             by = ONE / (FAR * size) * alone[:, None] * shifts
             keys = np.concatenate([rotations, by[..., None]], axis=2)
             # (Long faces, which are shifted along themselves, have no others to land on.)
-            least = np.where(alone, MOST / 2, MOST)
-            for turn, key, most in zip(map(Turn, rotations, shifts), keys, least, strict=True):
+            for turn, key, is_shift in zip(map(Turn, rotations, shifts), keys, alone, strict=True):
                 if np.any(np.linalg.norm(known - key, axis=(1, 2)) < ONE):
                     continue
+                most = MOST / 2 if is_shift else MOST
                 if alike(few, turn) >= most / 2 and alike(looked_at, turn) >= most:
-                    back = [Turn(turn.rotation, -turn.shift)] if most < MOST else []
-                    found += [turn, *back]
-                    known = np.concatenate([known, key[None], (key * [1, 1, 1, -1])[None]])
+                    both = [turn, Turn(turn.rotation, -turn.shift)]
+                    found += both if is_shift else [turn]
+                    back = key * [1, 1, 1, -1]
+                    known = np.concatenate([known, [key, back] if is_shift else [key]])
         if tried > TURNS:
             break
     return found

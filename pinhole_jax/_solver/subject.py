@@ -93,7 +93,10 @@ def _box_about(scene: Scene) -> np.ndarray:
     whole = np.asarray(bounding_box(scene), float)
     if scene.mesh is None:
         return whole
-    shown = eqx.tree_at(lambda s: s.mesh.vertices, scene, _with_faces(scene.mesh)[0])
+    vertices, _ = _with_faces(scene.mesh)
+    if len(vertices) == len(scene.mesh.vertices):
+        return whole
+    shown = eqx.tree_at(lambda s: s.mesh.vertices, scene, vertices)
     box = np.asarray(bounding_box(shown), float)
     return box if np.max(np.ptp(whole, axis=0)) > 2 * np.max(np.ptp(box, axis=0)) else whole
 
