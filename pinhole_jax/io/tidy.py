@@ -68,7 +68,7 @@ def drop_specks(inside: np.ndarray, speck: float) -> tuple[np.ndarray, np.ndarra
     the sizes (px) of the islands that stay, of those dropped, and of the holes filled."""
     sizes, is_small = _drop_small(inside, speck)
     np.logical_not(inside, out=inside)
-    holes, is_pinhole = _drop_small(inside, speck, sizes.max(initial=0))
+    holes, is_pinhole = _drop_small(inside, speck, int(sizes.max(initial=0)))
     np.logical_not(inside, out=inside)
     return sizes[~is_small], sizes[is_small], holes[is_pinhole]
 
