@@ -149,7 +149,7 @@ def test_camera_that_is_turned_onto_a_cut_is_turned_back():
     )
     seen = behind_a_half_plane(truth, scene, 2.7943, -82.277)
     refiner = Refiner.on(*solver_of(camera, scene, seen), None, 2.0, plainly=False)
-    (candidate,) = refiner.proposals([canonical(camera)], None)
+    (candidate,) = refiner.proposals([canonical(camera)], [])
     assert float(np.rad2deg(pj.pose_error(candidate.found.camera, truth)[0])) < 1
 
 

@@ -53,6 +53,14 @@ def test_outline_that_is_all_too_far_out_tilts_no_camera(number, shape, kind):
     assert row["degrees"] < min(4, 3 * row["sigma"]), row
 
 
+def test_camera_found_by_a_tilt_is_turned_by_a_tooth_too():
+    """A gear seen from its side, 2 px too large: the likeliest is a tilt away from a descent's
+    end, whose other teeth were tried before that."""
+    row = honesty.wrong_trial(997037, "gear with keyway", "grown")
+    assert row["status"] == "ambiguous"
+    assert row["nearest"] < 2
+
+
 def test_error_bar_reaches_over_a_shelf():
     """A small plug's tilt: four standard errors off the squares are a fifth of those foretold."""
     row = honesty.wrong_trial(500181, "plug", "hard")

@@ -299,11 +299,26 @@ def looked_about(refiner: Refiner, best: Candidate) -> list[Candidate]:
     that is all too far out or in tilts what is flat, and steps that know it do not lead back.)"""
     solver, again = refiner.solver, [] if refiner.start is None else [refiner.start]
     if not turns_freely(solver.freed):
-        return refiner.proposals(again, best)
-    found = refiner.proposals([*again, *lookalikes(solver, best.found.camera)], best)
-    best, *_ = refiner.likeliest([best, *found])
+        return refiner.proposals(again, [best])
+    found = [best]
+    best = add_proposals(refiner, found, [*again, *lookalikes(solver, best.found.camera)])
     tilts = tilted(best.found.camera, solver.subject.ball.centre)
-    return found + refiner.proposals(tilts, best, RULES.followed)
+    add_proposals(refiner, found, tilts, RULES.followed)
+    return found[1:]
+
+
+def add_proposals(
+    refiner: Refiner, found: list[Candidate], cameras: list[Camera], most: int = RULES.turns
+) -> Candidate:
+    """Add the candidates that the likeliest of some cameras become, and what looks like the best
+    of all if that is a new one; return the best."""
+    before, *_ = refiner.likeliest(found)
+    found += refiner.proposals(cameras, found, most)
+    best, *_ = refiner.likeliest(found)
+    if best is not before:
+        found += refiner.proposals(lookalikes(refiner.solver, best.found.camera), found)
+        best, *_ = refiner.likeliest(found)
+    return best
 
 
 def lookalikes(solver: Solver, camera: Camera) -> list[Camera]:
@@ -319,21 +334,14 @@ def behind_something(refiner: Refiner, plain: Candidate) -> list[Candidate]:
     """Candidates that see the object behind something: from what is known, then from all sides."""
     solver, mask, edge, start = refiner.solver, refiner.mask, refiner.edge, refiner.start
     known = [plain.found.camera] if start is None else [start, plain.found.camera]
-    found: list[Candidate] = []
-
-    def add(cameras: list[Camera], best: Candidate) -> Candidate:
-        found.extend(refiner.proposals(cameras, best))
-        before, best = best, max([best, *found], key=lambda c: c.log)
-        if best is not before:
-            found.extend(refiner.proposals(lookalikes(solver, best.found.camera), best))
-        return max([best, *found], key=lambda c: c.log)
-
-    best = add(near_starts(solver, edge, known), plain)
+    found = [plain]
+    best = add_proposals(refiner, found, near_starts(solver, edge, known))
     explained = best.account if start is not None and best.is_explained() else None
     # (Where an edge wavers, another view that the start allows may explain more of it.)
     if explained is None or explained.is_drawn:
-        add(from_all_sides(solver, mask, edge, start if explained else None), best)
-    return found
+        begin = start if explained else None
+        add_proposals(refiner, found, from_all_sides(solver, mask, edge, begin))
+    return found[1:]
 
 
 def _solver(scene: Scene, mask: Mask, freed: tuple[str, ...], settings: Settings) -> Solver:
@@ -389,7 +397,7 @@ def _fit_of(
         fit = fit._replace(weak=(*fit.weak, said.words))
     if edge is not None and best.account is not None:
         points, words = best.account.words(edge, mask.camera.H)
-        doubts = _doubts(best, best.account, len(points) > 0 and from_anywhere)
+        doubts = _doubts(best, best.account, edge, len(points) > 0 and from_anywhere)
         status = "uncertain" if doubts and fit.status == "converged" else fit.status
         unbelieved = points if len(points) else None
         fit = fit._replace(unbelieved=unbelieved, status=status, weak=(*fit.weak, *words, *doubts))
@@ -419,10 +427,14 @@ def _errs_nowhere(solver: Solver, mode: Candidate) -> bool:
     return mode.errors is not None and is_computed(mode.errors)
 
 
-def _doubts(best: Candidate, said: Account, alone: bool) -> list[str]:
-    """Sentences on why a camera that fits is not sure: a part of the edge is all that speaks for
-    it, `alone`, or the likelihood's steps did not come to rest."""
-    doubts = []
+def _doubts(best: Candidate, said: Account, edge: Edge, alone: bool) -> list[str]:
+    """Sentences on why a camera that fits is not sure: the edge wavers by more than errors of a
+    mask do, a part of it is all that speaks for the camera, `alone`, or the likelihood's steps did
+    not come to rest."""
+    doubts, size = [], said.errors.size
+    if size > RULES.little * edge.size:
+        wavers = f"the mask's edge wavers by {size:.1f} px, {size / edge.size:.0%} of the object"
+        doubts.append(f"{wavers}: another object, or a wrong mesh, may fit as well")
     if alone and said.covered > RULES.small:
         words = "other views may fit so little of the edge as well: give a `camera` to start from"
         doubts.append(words)

@@ -91,49 +91,44 @@ class Refiner:
     def candidates(
         self,
         cameras: Iterable[Solution],
-        best: Candidate | None = None,
+        beside: Sequence[Candidate] = (),
         most: int = RULES.turns,
     ) -> list[Candidate]:
         """The candidates that the likeliest cameras become, but for those that others rule out: the
-        first ones, or where these are proposals beside the `best` so far the likeliest, `most` of
-        them."""
+        first ones, or where these are proposals `beside` others the likeliest, `most` of them."""
         begun = [(found, self.account(found.camera, roughly=True)) for found in cameras]
         logs = [np.inf if said is None else said.log for _, said in begun]
         likely = sorted(range(len(begun)), key=lambda k: -logs[k])[:most]
-        done: list[Candidate] = []
-        for k in sorted(likely) if best is None else likely:
-            made = self._refined(*begun[k], best, done)
-            done += [] if made is None else [made]
-        return done
+        known, told = [*beside], len(beside) > 0
+        for k in likely if told else sorted(likely):
+            made = self._refined(*begun[k], known, told)
+            known += [] if made is None else [made]
+        return known[len(beside) :]
 
     def proposals(
-        self, cameras: Iterable[Camera], best: Candidate | None, most: int = RULES.turns
+        self, cameras: Iterable[Camera], beside: Sequence[Candidate], most: int = RULES.turns
     ) -> list[Candidate]:
-        """The candidates that the likeliest cameras become, beside the best so far."""
+        """The candidates that the likeliest cameras become, beside others."""
         look = lambda camera: Solution(camera, self.solver.look(camera, self.solver.finest), ())
-        return self.candidates(map(look, cameras), best, most)
+        return self.candidates(map(look, cameras), beside, most)
 
     def _refined(
-        self,
-        found: Solution,
-        said: Account | None,
-        best: Candidate | None,
-        done: list[Candidate],
+        self, found: Solution, said: Account | None, known: list[Candidate], told: bool
     ) -> Candidate | None:
-        begin, others = found.camera, done if best is None else [best, *done]
-        log = max((c.log for c in done), default=-np.inf if best is None else best.log)
+        """The candidate that a camera becomes; None if others are so much likelier, or the same.
+        `told`: by the likelihood alone."""
+        begin = found.camera
         if said is None:  # the mask's edge tells nothing yet
             found, said = self._least_squares(self._near(RULES.times), found)
         # (The account allows for an error of the camera; for what is left to descend, too.)
-        elif said.log < log - 3 * RULES.hopeless:
+        elif said.log < max((c.log for c in known), default=-np.inf) - 3 * RULES.hopeless:
             return None
         if said is not None:
-            known = [c.found.camera for c in done]
-            least = max((c.log - self.cost(c.found.camera) for c in others), default=-np.inf)
             # (Of a mask that is not drawn what leaves equal squares stays, however likely.)
-            told = best is not None or (bool(done) and is_drawn(done[0].errors))
-            least -= RULES.as_likely if told else RULES.hopeless
-            likelier = self._likelier(found, said, least, known)
+            short = told or (bool(known) and is_drawn(known[0].errors))
+            least = max((c.log - self.cost(c.found.camera) for c in known), default=-np.inf)
+            least -= RULES.as_likely if short else RULES.hopeless
+            likelier = self._likelier(found, said, least, [c.found.camera for c in known])
             if likelier is None:
                 return None
             found, said = likelier
@@ -142,7 +137,7 @@ class Refiner:
         drawn, believed_first = ended is not None and ended.is_drawn, near
         if not drawn:
             found, said = self._least_squares(near, found)
-            again = [] if self.start is None or best is not None else [self.start]
+            again = [] if self.start is None or told else [self.start]
             for camera in [begin, *again]:
                 if not near.look(camera, near.finest).squares >= found.view.squares:
                     found, said = self._least_squares(near, found._replace(camera=camera))

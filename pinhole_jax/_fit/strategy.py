@@ -1,7 +1,8 @@
 """Which cameras a fit tries, and which of those that it finds it keeps."""
 
 from collections.abc import Callable, Iterable, Iterator
-from itertools import tee
+from functools import partial
+from itertools import islice, tee
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from .._rules import RULES
 from .._solver.moves import canonical
 from .._solver.parameters import components, focal_is_free
 from .._solver.problem import FINE_PX
-from .._solver.solver import Solution, Solver, Stop
+from .._solver.solver import Solution, Solver, Stop, onward
 from .._solver.uncertainty import free_turns
 from .places import (
     Free,
@@ -165,16 +166,26 @@ def searched(solver: Solver, mask: Mask, on_stop: OnStop, rounds: int) -> list[S
     found: list[Solution] = []
     free = focal_is_free(solver.freed)
     source = guesses(mask, solver.subject.from_afar, solver.subject.ball)
+    tried: list[np.ndarray] = []
     for n in range(rounds):
         if free and n:
             longer = mask.longer((1.0, RULES.focal_factor, 1 / RULES.focal_factor)[n])
-            source = guesses(longer, solver.subject.from_afar, solver.subject.ball)
+            source, tried = guesses(longer, solver.subject.from_afar, solver.subject.ball), []
         source, likely = tee(source)
-        apart = RULES.start / (1 if free else 2**n)
-        found = _one_of_each([*found, *_followed(solver, likely, apart, on_stop)], solver)
+        new = islice(_others(likely, tried, RULES.start / (1 if free else 2**n)), RULES.tried)
+        found = _one_of_each([*found, *_raced(solver, new, on_stop)], solver)
         if is_explained(solver, found[0].view):
             break
     return found
+
+
+def _others(cameras: Iterable[Camera], tried: list[np.ndarray], apart: float) -> Iterator[Camera]:
+    """Yield cameras that look other ways than all that were tried, whose axes they join."""
+    for camera in cameras:
+        axes = axes_of(camera)
+        if not tried or np.min(angles(axes, np.stack(tried))) > apart:
+            tried.append(axes)
+            yield camera
 
 
 def looked_alike(solver: Solver, found: Solution, others: list[Solution]) -> Places:
@@ -206,30 +217,15 @@ def _likely(found: list[Solution], times: float | None = None) -> list[Solution]
     return [f for f in found if f is best or f.view.misfit < most]
 
 
-def _followed(
-    solver: Solver, likely: Iterator[Camera], apart: float, on_stop: OnStop
-) -> list[Solution]:
-    """Return the cameras that the first few guesses, so far apart, lead to."""
+def _raced(solver: Solver, cameras: Iterable[Camera], on_stop: OnStop) -> list[Solution]:
+    """The ends of descents from the few of some cameras that are best after some steps on the
+    coarsest level, the best first."""
     coarsest, *finer = range(len(solver.levels))
-    seen: list[np.ndarray] = []
-    found: list[Solution] = []
-    is_new = lambda axes, others: not others or bool(np.min(angles(axes, np.stack(others))) > apart)
-    while len(found) < RULES.tried:
-        # (Two at once are the same as one after the other: the second is left if it turns out to
-        # begin where the first one ends.)
-        pair: list[Camera] = []
-        for guess in likely:
-            pair += [guess] if is_new(axes_of(guess), [*seen, *map(axes_of, pair)]) else []
-            if len(pair) == 2:
-                break
-        if not pair:
-            break
-        ends = solver.solve_each(map(canonical, pair), [coarsest], coarse_px=ROUGH_PX)
-        for guess, end in zip(pair, ends, strict=True):
-            if is_new(axes_of(guess), seen) and len(found) < RULES.tried:
-                found.append(end)
-                seen += [axes_of(guess), axes_of(end.camera)]
-    found = _one_of_each(found, solver)[: RULES.followed]
+    rough = partial(solver.solve_each, levels=[coarsest], coarse_px=ROUGH_PX)
+    begun = rough(map(canonical, cameras), steps=RULES.steps // 2)
+    likely = _one_of_each(begun, solver)[: RULES.followed]
+    ends = rough([f.camera for f in likely])
+    found = _one_of_each(map(onward, likely, ends), solver)
     for level in finer:
         found = _likely(_one_of_each(solver.continued(found, [level], on_stop), solver))
     return found
@@ -265,12 +261,13 @@ def free_about(solver: Solver, found: Solution, places: Places) -> list[Free]:
     return places.free
 
 
-def _finite(found: list[Solution]) -> list[Solution]:
+def _finite(found: Iterable[Solution]) -> list[Solution]:
     known = lambda view: np.isfinite(view.squares) and np.all(np.isfinite(view.triangle))
+    found = [*found]
     return [f for f in found if known(f.view)] or found[:1]
 
 
-def _one_of_each(found: list[Solution], solver: Solver) -> list[Solution]:
+def _one_of_each(found: Iterable[Solution], solver: Solver) -> list[Solution]:
     """Return the finite ones, the best first, and of those with the same view the best."""
     best_first = sorted(_finite(found), key=lambda f: f.view.squares)
     return [*one_of_each(best_first, lambda a, b: _same(a, b, solver))]

@@ -26,6 +26,7 @@ from .._fit.result import gradients
 from .._outline.outline_errors import OutlineErrors
 from .._outline.statistics import err_alike, mask_errors
 from .._outline.stretches import Blocks
+from .._rules import RULES
 from .._solver.least_squares import LinearSolution
 from .._solver.parameters import components
 from .._solver.problem import FINE_PX, UNIT_PX
@@ -86,6 +87,11 @@ class Agreement(Minimum):
         solver, view = self.problem.eyes[k].solver, self.descent.seen[k].view
         matches = not solver.kind.exact or solver.kind.explains(view.touched_misfit, False)
         return matches and not err_alike(solver, view)
+
+    @property
+    def differs(self) -> bool:
+        """Whether views surely differ by more than their masks' errors explain."""
+        return sigma_of(self.excess**2 * self.freedom, self.freedom) > RULES.times
 
     @property
     def wider(self) -> float:

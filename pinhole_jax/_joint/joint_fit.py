@@ -10,7 +10,6 @@ from jaxtyping import Float
 
 from .._camera.camera import Camera
 from .._camera.poses import Pose, at_pose
-from .._fit.drift import sigma_of
 from .._fit.places import Free, transported
 from .._fit.result import (
     WRONG,
@@ -321,6 +320,9 @@ def _status(
         return "misfit", found.contradictions
     if len(numbers) == 1 and len(views) > 1 and (sigma := views[k].sigma) > RULES.times:
         return "misfit", (f"its view differs from the others by {sigma:.1f} sigma: {UNLIKE}",)
+    if found.differs and (partly := [k for k in counts if RULES.astray < views[k].astray <= LOST]):
+        far = f"view {partly[0]}: {views[partly[0]].astray:.0%} of the outline is far from its mask"
+        return "uncertain", (f"{far}, and views differ: one may pull the others along",)
     if np.any(np.isinf(fit.std)):
         return "rank_deficient", ("the masks leave a direction open (infinite standard errors)",)
     open_turn = uncertain_rotation(fit.covariance, fit.names, fit.camera)
@@ -365,7 +367,7 @@ def _weak_scales(scales: dict[str, SceneScale]) -> list[str]:
 def _disagreement(found: Agreement, views: tuple[ViewFit, ...]) -> list[str]:
     """Sentences on how far views differ, and which of them do."""
     apart, astray = [], []
-    if sigma_of(found.excess**2 * found.freedom, found.freedom) > RULES.times:
+    if found.differs:
         apart.append(
             f"views differ {found.excess:.1f} times as much as their masks' errors explain: check"
             " joint angles, meshes, transforms, the lens, and what cameras share"

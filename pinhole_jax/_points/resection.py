@@ -116,7 +116,7 @@ def plane_of(points: Points) -> tuple[np.ndarray, np.ndarray] | None:
     """The middle and the normal of the plane that is nearest to points, None if these are nearly
     of a line."""
     middle = points.mean(axis=0)
-    spread, axes = np.linalg.svd(points - middle)[1:]
+    _, spread, axes = np.linalg.svd(points - middle, full_matrices=False)
     return (middle, axes[-1]) if spread[1] > SLIM * spread[0] else None
 
 
