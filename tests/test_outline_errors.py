@@ -66,6 +66,16 @@ def test_errors_of_one_bit_are_alike_along_rows_and_cancel_across(roll):
         assert np.all((sampled < told) & (told < 1))
 
 
+@pytest.mark.long
+def test_edge_that_wavers_by_much_of_the_object_is_a_doubt():
+    """42 px large, 3 px off everywhere. (A gear's mask by a smooth gear's mesh: 46 % too far.)"""
+    camera = single(usual_camera(64, 64))
+    mask = wavy(drawn(camera, SCENE), default_rng(0), 5.0, 10.0)
+    fit = pj.fit_camera(SCENE, mask, turned(camera, 3))
+    assert fit.status == "uncertain"
+    assert any(words.startswith("the mask's edge wavers by 3.0 px, 8%") for words in fit.weak)
+
+
 @pytest.mark.parametrize("px", [1.0, full(2.0)])
 def test_size_of_errors_is_that_of_a_mask_as_it_was_drawn(px):
     masks = [wavy(IMAGE, default_rng(seed), px, 10.0) for seed in range(4)]

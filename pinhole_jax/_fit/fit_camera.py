@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from .._camera.axes import axes_of
+from .._camera.axes import angle, axes_of
 from .._camera.camera import Camera, check_camera
 from .._camera.lens import Lens
 from .._camera.rays import project
@@ -282,7 +282,7 @@ def _fit(
             free = [] if best.covariance is not None else free_about(solver, best.found, places)
 
     # 5. Status, covariance, words.
-    fit = _fit_of(solver, mask, modes, free, edge, start is None, settings)
+    fit = _fit_of(solver, mask, modes, free, edge, start, settings)
     weights = near.weights
     return fit, lambda: weights.image() if isinstance(weights, SparseImage) else weights
 
@@ -363,10 +363,10 @@ def _fit_of(
     modes: list[Candidate],
     free: list[Free],
     edge: Edge | None,
-    from_anywhere: bool,
+    start: Camera | None,
     settings: Settings,
 ) -> Fit:
-    """The modes as a user reads them, from anywhere or from a start."""
+    """The modes as a user reads them, from a start or anywhere."""
     photo = settings.photo
 
     def reported(mode: Candidate, free: list[Free]) -> Fit:
@@ -397,7 +397,7 @@ def _fit_of(
         fit = fit._replace(weak=(*fit.weak, said.words))
     if edge is not None and best.account is not None:
         points, words = best.account.words(edge, mask.camera.H)
-        doubts = _doubts(best, best.account, edge, len(points) > 0 and from_anywhere)
+        doubts = _doubts(best, best.account, edge, start)
         status = "uncertain" if doubts and fit.status == "converged" else fit.status
         unbelieved = points if len(points) else None
         fit = fit._replace(unbelieved=unbelieved, status=status, weak=(*fit.weak, *words, *doubts))
@@ -427,18 +427,24 @@ def _errs_nowhere(solver: Solver, mode: Candidate) -> bool:
     return mode.errors is not None and is_computed(mode.errors)
 
 
-def _doubts(best: Candidate, said: Account, edge: Edge, alone: bool) -> list[str]:
-    """Sentences on why a camera that fits is not sure: the edge wavers by more than errors of a
-    mask do, a part of it is all that speaks for the camera, `alone`, or the likelihood's steps did
-    not come to rest."""
+def _doubts(best: Candidate, said: Account, edge: Edge, start: Camera | None) -> list[str]:
+    """Sentences on why a camera that fits is not sure: a part of the edge is all that speaks for
+    it; the edge wavers by more than errors of a mask do, or so much that a start which says
+    otherwise is overruled; the likelihood's steps did not come to rest."""
     doubts, size = [], said.errors.size
-    if size > RULES.little * edge.size:
-        wavers = f"the mask's edge wavers by {size:.1f} px, {size / edge.size:.0%} of the object"
-        doubts.append(f"{wavers}: another object, or a wrong mesh, may fit as well")
+    alone = start is None and said.unbelieved(edge) >= RULES.little
     if alone and said.covered > RULES.small:
         words = "other views may fit so little of the edge as well: give a `camera` to start from"
         doubts.append(words)
-    if best.covariance is not None and said.is_drawn and said.far > RULES.times:
+    if size > RULES.little * edge.size:
+        wavers = f"the mask's edge wavers by {size:.1f} px, {size / edge.size:.0%} of the object"
+        doubts.append(f"{wavers}: another object, or a wrong mesh, may fit as well")
+    if best.covariance is None:
+        return doubts
+    if start is not None and (away := angle(best.found.camera, start)) > RULES.too_far:
+        far = f"the likeliest camera is {np.rad2deg(away):.0f} degrees from the start"
+        doubts.append(f"{far}, and the mask's errors leave room for others")
+    if said.is_drawn and said.far > RULES.times:
         far = f"{said.far:.0f} standard errors"
         doubts.append(f"the likeliest camera may be {far} away, but steps do not end there")
     return doubts
