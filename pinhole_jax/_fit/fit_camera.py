@@ -429,16 +429,16 @@ def _errs_nowhere(solver: Solver, mode: Candidate) -> bool:
 
 def _doubts(best: Candidate, said: Account, edge: Edge, start: Camera | None) -> list[str]:
     """Sentences on why a camera that fits is not sure: a part of the edge is all that speaks for
-    it; the edge wavers by more than errors of a mask do, or so much that a start which says
-    otherwise is overruled; the likelihood's steps did not come to rest."""
-    doubts, size = [], said.errors.size
+    it; the edge is off by more than masks err; it may waver, and a start that says otherwise is
+    overruled; the likelihood's steps did not come to rest."""
+    doubts, off = [], said.errors.size + abs(said.errors.bias)
     alone = start is None and said.unbelieved(edge) >= RULES.little
     if alone and said.covered > RULES.small:
         words = "other views may fit so little of the edge as well: give a `camera` to start from"
         doubts.append(words)
-    if size > RULES.little * edge.size:
-        wavers = f"the mask's edge wavers by {size:.1f} px, {size / edge.size:.0%} of the object"
-        doubts.append(f"{wavers}: another object, or a wrong mesh, may fit as well")
+    if off > RULES.astray * edge.size:
+        far = f"the mask's edge is {off:.1f} px off, {off / edge.size:.0%} of the object's size"
+        doubts.append(f"{far}: is it another object, or a wrong mesh?")
     if best.covariance is None:
         return doubts
     if start is not None and (away := angle(best.found.camera, start)) > RULES.too_far:
