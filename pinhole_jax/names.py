@@ -25,7 +25,7 @@ STATUSES = {
     "converged": "trust it: it is at rest, the masks overlap, every direction is determined",
     "ambiguous": "pick one of its views: others fit the mask equally well",
     "rank_deficient": "the mask leaves open the directions in the notes: use the others",
-    "uncertain": "use it as a start only: the mask leaves several degrees of rotation open",
+    "uncertain": "use it as a start only: the notes say what is in doubt",
     "misfit": "do not use it: outline and mask disagree by more than such a mask should",
     "max_steps": "continue from its `camera`: it stopped while still moving",
     "no_overlap": "do not use it: IoU below 0.5. Wrong mesh, unit, or focal length?",
