@@ -320,11 +320,11 @@ def _status(
         return "misfit", found.contradictions
     if len(numbers) == 1 and len(views) > 1 and (sigma := views[k].sigma) > RULES.times:
         return "misfit", (f"its view differs from the others by {sigma:.1f} sigma: {UNLIKE}",)
+    if np.any(np.isinf(fit.std)):
+        return "rank_deficient", ("the masks leave a direction open (infinite standard errors)",)
     if found.differs and (partly := [k for k in counts if RULES.astray < views[k].astray <= LOST]):
         far = f"view {partly[0]}: {views[partly[0]].astray:.0%} of the outline is far from its mask"
         return "uncertain", (f"{far}, and views differ: one may pull the others along",)
-    if np.any(np.isinf(fit.std)):
-        return "rank_deficient", ("the masks leave a direction open (infinite standard errors)",)
     open_turn = uncertain_rotation(fit.covariance, fit.names, fit.camera)
     return "uncertain" if open_turn else "converged", open_turn
 
