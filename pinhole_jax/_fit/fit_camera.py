@@ -429,9 +429,10 @@ def _errs_nowhere(solver: Solver, mode: Candidate) -> bool:
 
 def _doubts(best: Candidate, said: Account, edge: Edge, start: Camera | None) -> list[str]:
     """Sentences on why a camera that fits is not sure: a part of the edge is all that speaks for
-    it; the edge is off by more than masks err; it may waver, and a start that says otherwise is
-    overruled; the likelihood's steps did not come to rest."""
+    it; the edge is off by more than masks err, or by so much that it overrules no start; the
+    likelihood's steps did not come to rest."""
     doubts, off = [], said.errors.size + abs(said.errors.bias)
+    away = 0.0 if start is None else angle(best.found.camera, start)
     alone = start is None and said.unbelieved(edge) >= RULES.little
     if alone and said.covered > RULES.small:
         words = "other views may fit so little of the edge as well: give a `camera` to start from"
@@ -439,12 +440,10 @@ def _doubts(best: Candidate, said: Account, edge: Edge, start: Camera | None) ->
     if off > RULES.astray * edge.size:
         far = f"the mask's edge is {off:.1f} px off, {off / edge.size:.0%} of the object's size"
         doubts.append(f"{far}: is it another object, or a wrong mesh?")
-    if best.covariance is None:
-        return doubts
-    if start is not None and (away := angle(best.found.camera, start)) > RULES.too_far:
+    if away > RULES.too_far and off > RULES.little * edge.size:
         far = f"the likeliest camera is {np.rad2deg(away):.0f} degrees from the start"
-        doubts.append(f"{far}, and the mask's errors leave room for others")
-    if said.is_drawn and said.far > RULES.times:
+        doubts.append(f"{far}, and the mask's edge is {off:.1f} px off")
+    if best.covariance is not None and said.is_drawn and said.far > RULES.times:
         far = f"{said.far:.0f} standard errors"
         doubts.append(f"the likeliest camera may be {far} away, but steps do not end there")
     return doubts
