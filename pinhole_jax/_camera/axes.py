@@ -38,11 +38,19 @@ def angles(axes: Float[np.ndarray, "3 3"], others: Float[np.ndarray, "n 3 3"]) -
 
 
 def distinct(
-    places: Iterable[T], apart: float, camera: Callable[[T], Any] = lambda place: place
+    places: Iterable[T],
+    apart: float,
+    camera: Callable[[T], Any] = lambda place: place,
+    tried: list[np.ndarray] | None = None,
 ) -> Iterator[T]:
-    """Places, or cameras, that look other ways than all before, by more than an angle (rad)."""
-    near = lambda before, place: angle(camera(place), camera(before)) <= apart
-    return one_of_each(places, near)
+    """Places, or cameras, that look other ways than all before, by more than an angle (rad), and
+    than those `tried` before, whose axes they join."""
+    before = [] if tried is None else tried
+    for place in places:
+        axes = axes_of(camera(place))
+        if not np.any(angles(axes, np.reshape(before, (-1, 3, 3))) <= apart):
+            before.append(axes)
+            yield place
 
 
 def one_of_each(places: Iterable[T], is_one: Callable[[T, T], bool]) -> Iterator[T]:
@@ -60,4 +68,4 @@ def sphere_points(number: int) -> np.ndarray:
     z = 1 - 2 * k / number
     angle = np.pi * (1 + 5**0.5) * k
     r = np.sqrt(1 - z * z)
-    return np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=-1)
+    return np.column_stack([r * np.cos(angle), r * np.sin(angle), z])

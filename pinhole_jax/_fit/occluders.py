@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._camera.axes import angle, axes_of
+from .._camera.axes import angle, distinct
 from .._camera.camera import Camera
 from .._files.progress import say
 from .._mask.mask import Mask
@@ -107,12 +107,14 @@ class _Bringing:
     def _brought(
         self, found: list[tuple[_Brought, Window]], scales: np.ndarray
     ) -> list[tuple[_Brought, Window]]:
-        """Where cameras are brought to, the closest first, and of each place that one."""
+        """Where cameras are brought to, the closest first, and of each place that one: one turned
+        by four times `RULES.same` is another."""
         solver, level = self.solver, self.level
         bring = lambda given: self._onward(given[0], given[1], scales)
         program = lambda given: solver.program(given[0].camera, level)
         ended = zip(in_threads(bring, found, program), (w for _, w in found), strict=True)
-        return _apart(sorted(((e, w) for e, w in ended if e), key=lambda f: -self._closeness(f[0])))
+        found = sorted(((e, w) for e, w in ended if e), key=lambda f: -self._closeness(f[0]))
+        return [*distinct(found, 4 * RULES.same, lambda f: f[0].camera)]
 
     def _onward(self, seen: _Brought, window: Window, scales: np.ndarray) -> _Brought | None:
         """The camera whose outline the edge was brought to, counting as far as `scales` (px) say
@@ -146,19 +148,6 @@ class _Bringing:
         close = np.clip(1 - (pairs.off / near) ** 2, 0, 1) * pairs.faces
         inside = float(np.mean((self.stretch @ close) * close))
         return inside - 0.5 * float(np.mean(pairs.off > 2 * near))
-
-
-def _apart(found: list[tuple[_Brought, Window]]) -> list[tuple[_Brought, Window]]:
-    """The first of each place, a turn by four times `RULES.same` being another one."""
-    if not found:
-        return []
-    axes = np.stack([axes_of(seen.camera) for seen, _ in found])
-    cosine = (np.einsum("aij,bij->ab", axes, axes) - 1) / 2
-    kept: list[int] = []
-    for k in range(len(found)):
-        if np.all(cosine[k, kept] < np.cos(4 * RULES.same)):
-            kept.append(k)
-    return [found[k] for k in kept]
 
 
 def _weights(pairs: Pairs, stretch: Any, scale: float) -> np.ndarray:

@@ -1,13 +1,13 @@
 """Which cameras a fit tries, and which of those that it finds it keeps."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from functools import partial
 from itertools import islice, tee
 from typing import Any
 
 import numpy as np
 
-from .._camera.axes import angle, angles, axes_of, one_of_each
+from .._camera.axes import angle, axes_of, distinct, one_of_each
 from .._camera.camera import Camera
 from .._mask.mask import Mask
 from .._mask.search import aimed, guesses
@@ -172,20 +172,12 @@ def searched(solver: Solver, mask: Mask, on_stop: OnStop, rounds: int) -> list[S
             longer = mask.longer((1.0, RULES.focal_factor, 1 / RULES.focal_factor)[n])
             source, tried = guesses(longer, solver.subject.from_afar, solver.subject.ball), []
         source, likely = tee(source)
-        new = islice(_others(likely, tried, RULES.start / (1 if free else 2**n)), RULES.tried)
+        apart = RULES.start / (1 if free else 2**n)
+        new = islice(distinct(likely, apart, tried=tried), RULES.tried)
         found = _one_of_each([*found, *_raced(solver, new, on_stop)], solver)
         if is_explained(solver, found[0].view):
             break
     return found
-
-
-def _others(cameras: Iterable[Camera], tried: list[np.ndarray], apart: float) -> Iterator[Camera]:
-    """Yield cameras that look other ways than all that were tried, whose axes they join."""
-    for camera in cameras:
-        axes = axes_of(camera)
-        if not tried or np.min(angles(axes, np.stack(tried))) > apart:
-            tried.append(axes)
-            yield camera
 
 
 def looked_alike(solver: Solver, found: Solution, others: list[Solution]) -> Places:
@@ -225,7 +217,7 @@ def _raced(solver: Solver, cameras: Iterable[Camera], on_stop: OnStop) -> list[S
     begun = rough(map(canonical, cameras), steps=RULES.steps // 2)
     likely = _one_of_each(begun, solver)[: RULES.followed]
     ends = rough([f.camera for f in likely])
-    found = _one_of_each(map(onward, likely, ends), solver)
+    found = _one_of_each([onward(*pair) for pair in zip(likely, ends, strict=True)], solver)
     for level in finer:
         found = _likely(_one_of_each(solver.continued(found, [level], on_stop), solver))
     return found
@@ -261,13 +253,12 @@ def free_about(solver: Solver, found: Solution, places: Places) -> list[Free]:
     return places.free
 
 
-def _finite(found: Iterable[Solution]) -> list[Solution]:
+def _finite(found: list[Solution]) -> list[Solution]:
     known = lambda view: np.isfinite(view.squares) and np.all(np.isfinite(view.triangle))
-    found = [*found]
     return [f for f in found if known(f.view)] or found[:1]
 
 
-def _one_of_each(found: Iterable[Solution], solver: Solver) -> list[Solution]:
+def _one_of_each(found: list[Solution], solver: Solver) -> list[Solution]:
     """Return the finite ones, the best first, and of those with the same view the best."""
     best_first = sorted(_finite(found), key=lambda f: f.view.squares)
     return [*one_of_each(best_first, lambda a, b: _same(a, b, solver))]
